@@ -22,7 +22,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="0.2.0",
     description="Dynamics of robots and prostheses with coupled joints, offline and live.",
     license="Apache-2.0",
     license_files=["LICENSE"],

@@ -104,7 +104,7 @@ def by_hand(scene: Any, chosen: Integrator) -> Take:
     )
     y = y._replace(q=y.q[order], v=y.v[order])
     times, held = sample_times(0.0, DURATION, INTERVAL), held_inputs([], 0.0)
-    take = run.whole(y, np.hstack(y[:3]), times, held, 10**6)
+    take = run.full_run(y, np.hstack(y[:3]), times, held, 10**6)
     columns = [0, *(1 + own), *(8 + own)]
 
     def taken() -> Array:

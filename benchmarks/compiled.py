@@ -178,7 +178,7 @@ def our_run(simulation: Simulation, x: State, duration: float, parts: int) -> tu
 
 def has_rows(scene: Scene) -> bool:
     """Whether anything has to be kept by multipliers."""
-    return bool(scene.system().held.rows)
+    return bool(scene.system().bilateral.rows)
 
 
 def our_methods(interval: float) -> Iterator[tuple[dict[str, Any], float]]:

@@ -7,12 +7,12 @@
     torques = scene.inverse(motion)
     torques.to_csv("torques.csv")
 
-A name is imported when it is used for the first time.
+Importing this package is cheap: the module behind a name is imported when the name is first used.
 """
 
 from importlib import import_module
 
-TYPE_CHECKING = False  # true to type checkers; to import `typing` would take longer than the rest
+TYPE_CHECKING = False  # type checkers read True; importing `typing` would dominate the import time
 if TYPE_CHECKING:
     from typing import Any
 
@@ -39,9 +39,9 @@ def __getattr__(name: str) -> "Any":
         return import_module("importlib.metadata").version(__name__)
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = found
-    return found
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -1,4 +1,4 @@
-"""`python -m mbd_ros ..`: the program `mbd-ros`, where it is not on the path."""
+"""Run `mbd-ros` as `python -m mbd_ros`, for when the program is not on the path."""
 
 import sys
 

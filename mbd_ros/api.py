@@ -1,4 +1,4 @@
-"""The contents of `import mbd_ros`: scenes with the jobs as methods."""
+"""Public Python interface: load or build a scene, and run every job as one of its methods."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -36,7 +36,11 @@ if TYPE_CHECKING:
 
 
 class Scene(built_scene.Scene):
-    """A built scene with everything that is done with one, the jobs too, as methods."""
+    """A built scene of robots and bodies, with every job (simulate, inverse, ...) as a method.
+
+    `load_scene` and `scene_from` return it. A scene never changes: methods such as `with_` return
+    a new one.
+    """
 
     simulation = build_simulation
     with_inertias = with_inertias
@@ -59,48 +63,53 @@ class Scene(built_scene.Scene):
 
     @classmethod
     def of(cls, scene: built_scene.Scene) -> "Scene":
-        """The same scene with the jobs as methods."""
+        """Return the same scene with the jobs as methods."""
         return cls(*(getattr(scene, field.name) for field in fields(scene) if field.init))
 
     def phased_system(self, *arguments: Any, **options: Any) -> "PhasedSystem":
-        """The systems of all phases, behind one; arguments and errors as for `system`."""
+        """Build one system that switches between the systems of all phases of the scene.
+
+        Arguments and errors are those of `system`.
+        """
         from mbd_ros.scene.phased_systems import build_phased_system
 
         return build_phased_system(self, *arguments, **options)
 
     def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
-        """The scene with other sections and other numbers, built as far as they change it.
+        """Return a copy of the scene with other sections and numbers.
 
         Args:
-            numbers: Numbers by `<name of a part>.<argument>`, such as
-                `ankle_joint_spring.stiffness`; lists of numbers too. A section of one entry, such
-                as `integrator` or `initial`, goes by its key.
-            **sections: As `scene_from` takes them; None removes a section.
+            numbers: New values by `<name of a part>.<argument>`, such as
+                `ankle_joint_spring.stiffness`; a value is a number or a list of numbers. For a
+                section that has one entry, such as `integrator` or `initial`, use the name of the
+                section instead of the name of a part.
+            **sections: New sections, written as for `scene_from`; None removes a section.
 
         Raises:
-            SceneError: Names key, what is wrong and what is accepted.
+            SceneError: A key or value is not accepted; the message names it and what is.
         """
         scene = with_sections(self, **sections) if sections or not numbers else self
         return with_numbers(scene, numbers) if numbers else scene
 
     def batch(self, count: int, **options: Any) -> "Batch":
-        """Many runs side by side, from other starts and with other numbers.
+        """Return a batch that simulates many variants of the scene side by side.
 
         Args:
-            **options: As for `Batch`.
+            count: Number of runs.
+            **options: Initial states and numbers of the runs, as `Batch` takes them.
 
         Raises:
-            SceneError: Names what is wrong and what is accepted.
+            SceneError: The scene cannot run in a batch, or an option is not accepted.
         """
         from mbd_ros.scene.runs.batch import Batch
 
         return Batch(self, count, **options)
 
     def check(self) -> Lines:
-        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
+        """Return the report of `mbd-ros check`: the parts that are built, the cost of a call.
 
         Raises:
-            MbdError: The scene has no consistent start.
+            MbdError: The scene has no consistent initial state.
         """
         from mbd_ros.scene.describe.check import describe
 
@@ -117,23 +126,23 @@ def load_scene(path: str | Path, *, allow_code: bool = False) -> Any:
     """Read and build a scene.
 
     Args:
-        path: Scene file, `package://<package>/<path>`, or the name of an embedded scene, which
-            `mbd-ros scenes` lists.
+        path: Scene file, `package://<package>/<path>`, or the name of an embedded scene;
+            `mbd-ros scenes` lists these names.
         allow_code: Whether the scene may import code from outside this package.
 
     Returns:
-        A `Scene`; or a scene of particles, with the methods that these have, where the file has
-        a section `particles`.
+        A `Scene`, or a `ParticleScene` if the file has a section `particles`.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: The file cannot be read, or an entry is not accepted; the message names file,
+            key and accepted values.
     """
     with permitting(allow_code):
         return _with_jobs(reader.load_any(path))
 
 
 def _with_jobs(scene: Any) -> Any:
-    """A scene with the jobs as methods."""
+    """Return the scene with the jobs as methods."""
     if not reader.is_of_particles(scene):
         return Scene.of(scene)
     from mbd_ros.particle_api import ParticleScene
@@ -150,33 +159,33 @@ def scene_from(
     """Build a scene from Python values instead of a file.
 
     Args:
-        entries: Sections as a scene file has them; numpy arrays and tuples stand for lists, a
-            class for its name where a `type` is asked for.
-        urdf: The robot: a file, `package://<package>/<path>`, the name of an embedded robot such
-            as `arm7`, or URDF text.
+        entries: Sections of a scene, with the keys of a scene file. Lists may be numpy arrays or
+            tuples, and a `type` may be a class instead of its name.
+        urdf: The robot as a URDF file, `package://<package>/<path>`, the name of an embedded
+            robot such as `arm7`, or URDF text.
         allow_code: Whether `type` may name code from outside this package.
 
     Returns:
-        As for `load_scene`.
+        A `Scene`, or a `ParticleScene` if there is a section `particles`.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: An entry is not accepted; the message names its key and accepted values.
     """
     with permitting(allow_code):
         if urdf is None and reader.has_particles(entries or {}):
-            given = from_python.plain(entries, Origin().name)
-            return _with_jobs(reader.build_any(Origin(), given))
+            sections = from_python.plain(entries, Origin().name)
+            return _with_jobs(reader.build_any(Origin(), sections))
         return Scene.of(from_python.scene_from(entries, urdf=urdf))
 
 
 def read_robot(urdf: str | Path) -> Robot:
-    """The robot of a description, checked.
+    """Read a robot from its description and check its joints and inertias.
 
     Args:
-        urdf: As `scene_from` takes it.
+        urdf: The robot, as for `scene_from`.
 
     Raises:
-        SceneError: Names what is wrong and what is accepted.
+        SceneError: The description cannot be read, or a link or joint is not valid.
     """
     robot: Robot = scene_from(urdf=urdf).robot
     return robot

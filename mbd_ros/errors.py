@@ -1,39 +1,39 @@
-"""Everything that mbd_ros raises on purpose, and the exit codes of its programs."""
+"""The errors that mbd_ros raises, the exit codes of its programs, and installation hints."""
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-_WORD, _LINE = 400, 2000  # characters that are shown whole
+_MAX_WORD, _MAX_LINE = 400, 2000  # characters; longer words and lines are shortened
 
 
 def printable(text: str) -> str:
-    """Text that a terminal shows as it stands: no control characters, long words and lines cut.
+    """Return the text with control characters escaped and very long words and lines shortened.
 
     Args:
-        text: Any text; its line breaks stay.
+        text: Any text; line breaks are kept.
     """
-    if text.isprintable() and len(text) <= _WORD:
+    if text.isprintable() and len(text) <= _MAX_WORD:
         return text
     escaped = "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
-    return "\n".join(_cut(_words(line), _LINE) for line in escaped.split("\n"))
+    return "\n".join(_shorten(_shorten_words(line), _MAX_LINE) for line in escaped.split("\n"))
 
 
-def _words(line: str) -> str:
-    return " ".join(_cut(word, _WORD) for word in line.split(" "))
+def _shorten_words(line: str) -> str:
+    return " ".join(_shorten(word, _MAX_WORD) for word in line.split(" "))
 
 
-def _cut(text: str, longest: int) -> str:
-    """The text without its middle, at most `longest` characters."""
+def _shorten(text: str, longest: int) -> str:
+    """Replace the middle of a long text, so that at most `longest` characters remain."""
     if len(text) <= longest:
         return text
-    said = f".. {len(text)} characters .."
+    middle = f".. {len(text)} characters .."
     end = longest // 4
-    return text[: longest - end - len(said)] + said + text[-end:]
+    return text[: longest - end - len(middle)] + middle + text[-end:]
 
 
 class MbdError(Exception):
-    """Root of the errors of this package; its message is `printable`.
+    """Base class of the errors of this package; its message contains no control characters.
 
     Attributes:
-        exit_code: That of a program which this error ends.
+        exit_code: Exit code of a program that stops with this error.
     """
 
     exit_code = BAD_INPUT
@@ -43,26 +43,26 @@ class MbdError(Exception):
 
 
 class SceneError(MbdError):
-    """A scene file that cannot be built: names file, key and what is accepted."""
+    """A scene cannot be built; the message names file, key and accepted values."""
 
 
 class ModelError(MbdError):
-    """A robot description that cannot be trusted: names link or joint and the condition."""
+    """A model is not valid; the message names the link, joint or argument and the condition."""
 
 
 class DataError(MbdError):
-    """A motion, wrench table or bag that cannot be used: names file, column or topic."""
+    """A table, bag or result cannot be used; the message names file, column or topic."""
 
 
 class SolveError(MbdError):
-    """Equations without a trustworthy solution: names the rows and the residuals."""
+    """Equations have no accurate solution; the message names the constraints and residuals."""
 
 
 class NotConvergedError(SolveError):
-    """A motion that was looked for and not found: says what stands against it.
+    """An optimization or search did not converge; the message names what it violates most.
 
     Attributes:
-        result: The last iterate, a `Result` that is marked as not converged; None without one.
+        result: The last iterate as a `Result` marked as not converged, or None.
     """
 
     exit_code = FAILED
@@ -73,20 +73,20 @@ class NotConvergedError(SolveError):
 
 
 class JammedError(SolveError):
-    """Friction leaves contacts that slip no consistent acceleration (Painlevé): names them."""
+    """Slipping contacts admit no consistent acceleration (Painlevé's paradox); it names them."""
 
 
 class FallError(MbdError):
-    """A motion that does not come to the end of a cycle: says when it ended, and why."""
+    """A walking motion ended before its cycle was complete; the message says when and why."""
 
 
 class DivergedError(MbdError):
-    """A simulation that stopped being finite: names joint, time and last finite state."""
+    """A simulation diverged; the message names the joint, the time and the last finite state."""
 
 
 _ROS = "ros-jazzy-rclpy ros-jazzy-common-interfaces ros-jazzy-rmw-fastrtps-cpp"
 _MESSAGES = "diagnostic geometry lifecycle rosgraph sensor std trajectory visualization"
-PACKAGES = {  # module -> what pip calls the package that brings it
+PACKAGES = {  # module -> argument of `pip install` for the package that contains it
     **{
         name: name
         for name in ("apsw", "exudyn", "matplotlib", "mujoco", "numpy", "pandas", "pyarrow")
@@ -112,10 +112,10 @@ PACKAGES = {  # module -> what pip calls the package that brings it
 
 
 def install_hint(module: str) -> str:
-    """Hint for a module that is not installed; empty where this package needs no such module.
+    """Return how to install a missing module, or "" if this package does not use that module.
 
     Args:
-        module: As it is imported, perhaps with dots.
+        module: Dotted name of the module, as it is imported.
     """
     name = module.partition(".")[0]
     if name not in PACKAGES:

@@ -1,6 +1,7 @@
-"""Gzip files, unpacked within a bound that is counted while reading.
+"""Gzip files, read with a limit on their unpacked size.
 
-A small file may unpack to any size, and its header does not say to which.
+A small file can unpack to any size, and its header does not tell which, so bytes are counted
+while they are read.
 """
 
 import errno
@@ -11,40 +12,41 @@ from typing import Any, BinaryIO
 
 MAX_UNPACKED = 2_000_000_000  # bytes, of any compressed file
 _BLOCK = 1 << 16  # bytes that are unpacked at once
-_MANY = 1 << 20  # the same, where they are only counted
-_RATIO = 1032  # of unpacked to packed bytes, the largest of deflate
+_COUNTED_BLOCK = 1 << 20  # bytes that are unpacked at once where they are only counted
+_MAX_RATIO = 1032  # largest ratio of unpacked to packed bytes of the deflate format
 
 
 def unpacked_gzip(packed: BinaryIO) -> BufferedReader:
-    """The content of a gzip file as a stream; reading beyond 2 GB raises an OSError.
+    """Return the unpacked content as a stream, which raises an OSError beyond 2 GB.
 
     Args:
-        packed: The file, at its begin.
+        packed: The gzip file, positioned at its start.
     """
     return BufferedReader(_Counted(GzipFile(fileobj=packed)), _BLOCK)
 
 
 def check_gzip(packed: BinaryIO) -> None:
-    """Refuse a gzip file that unpacks to more than 2 GB before its lines are read one by one.
+    """Refuse a gzip file that unpacks to more than 2 GB, before its lines are parsed.
 
-    Unpacking alone takes seconds, reading 2 GB of numbers takes minutes.
+    Unpacking takes seconds, whereas parsing 2 GB of numbers takes minutes.
 
     Args:
-        packed: The file, at its begin; it is there again afterwards.
+        packed: The gzip file, positioned at its start, where this function leaves it again.
 
     Raises:
-        OSError: It does; `strerror` says so.
+        OSError: The unpacked content is larger; `strerror` names the limit.
     """
-    if packed.seek(0, os.SEEK_END) * _RATIO > MAX_UNPACKED:
+    if packed.seek(0, os.SEEK_END) * _MAX_RATIO > MAX_UNPACKED:
         packed.seek(0)
-        stream, block = _Counted(GzipFile(fileobj=packed)), bytearray(_MANY)
+        stream = _Counted(GzipFile(fileobj=packed))
+        block = bytearray(_COUNTED_BLOCK)
         while stream.readinto(block):
             pass
     packed.seek(0)
 
 
 class _Counted(RawIOBase):
-    """A stream that ends in an error beyond `MAX_UNPACKED` bytes."""
+    """A stream that raises an OSError once more than `MAX_UNPACKED` bytes were read."""
 
     def __init__(self, source: GzipFile) -> None:
         self._source = source

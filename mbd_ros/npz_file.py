@@ -1,6 +1,6 @@
-"""Arrays of numpy in a zip file, read within a bound of memory and without running code.
+"""Read .npz files (numpy arrays in a zip file) with bounded memory and without running code.
 
-Headers are read here and not by numpy, which evaluates them and allocates what they say.
+Headers are parsed here because numpy evaluates them and allocates the size that they state.
 """
 
 import math
@@ -36,30 +36,31 @@ _HEADER = re.compile(
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
-    """Arrays of an .npz file by name; reading it runs no code.
+    """Read the arrays of an .npz file, by name, without running code.
 
-    Accepted are members in the form of .npy, stored or deflated, of numbers, truth values and
-    texts. Together they have at most 2 GB unpacked, or the size of the file if that is more.
+    Members must be .npy files of numbers, truth values or text, stored or deflated. Unpacked, they
+    may have at most 2 GB together, or the size of the file if that is more.
 
     Args:
-        what: The file that is expected, for the message.
+        path: The .npz file.
+        what: What the file should be, for the error message, such as "a table of arrays".
 
     Raises:
-        DataError: It cannot be read, is damaged, or holds something else.
+        DataError: The file cannot be read, is damaged, or contains something else.
     """
     arrays: dict[str, NDArray[Any]] = {}
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as packed:
-            left = max(MAX_UNPACKED, path.stat().st_size)
+            remaining = max(MAX_UNPACKED, path.stat().st_size)  # bytes
             for member in packed.infolist():
                 name = member.filename.removesuffix(".npy")
                 if name in arrays:
-                    raise ValueError(f"two arrays are called {name}")
+                    raise ValueError(f"two arrays have the name {name}")
                 try:
-                    arrays[name] = _read_array(packed, member, left)
+                    arrays[name] = _read_array(packed, member, remaining)
                 except ValueError as error:
                     raise ValueError(f"array {name}: {error}") from error
-                left -= arrays[name].nbytes
+                remaining -= arrays[name].nbytes
     except _BROKEN_ZIP as error:
         reason = str(error) or type(error).__name__
         raise DataError(f"{path}: is damaged, or not {what} ({reason})") from error
@@ -69,13 +70,18 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
 
 
 def _read_array(packed: zipfile.ZipFile, member: zipfile.ZipInfo, limit: int) -> NDArray[Any]:
-    """The array of a member of at most `limit` bytes.
+    """Read one array.
+
+    Args:
+        packed: The zip file.
+        member: The member that contains the array.
+        limit: Largest size of the array [bytes].
 
     Raises:
-        ValueError: It is no such array.
+        ValueError: The member is not an accepted array, or is larger.
     """
     if member.compress_type not in _METHODS or member.flag_bits & _ENCRYPTED:
-        raise ValueError("encrypted, or packed by another method than deflate")
+        raise ValueError("it is encrypted, or compressed by another method than deflate")
     with packed.open(member) as stream:
         dtype, order, shape = _read_header(stream)
         size = dtype.itemsize * math.prod(filter(None, shape))
@@ -86,29 +92,29 @@ def _read_array(packed: zipfile.ZipFile, member: zipfile.ZipInfo, limit: int) ->
         while block := stream.read(min(_BLOCK, len(content) - begin + 1)):
             end = begin + len(block)
             if end > len(content):
-                raise ValueError(f"more bytes than {shape} of {dtype} have")
+                raise ValueError(f"it has more bytes than shape {shape} of {dtype} needs")
             content[begin:end] = np.frombuffer(block, np.uint8)
             begin = end
         if begin < len(content):
-            raise ValueError(f"fewer bytes than {shape} of {dtype} have")
+            raise ValueError(f"it has fewer bytes than shape {shape} of {dtype} needs")
     if dtype.kind == "U" and (content.view(f"{dtype.str[0]}u4") > sys.maxunicode).any():
-        raise ValueError("no text")
+        raise ValueError("its text contains invalid characters")
     return content.view(dtype).reshape(shape, order=order)
 
 
 def _read_header(stream: IO[bytes]) -> tuple[np.dtype[Any], Literal["C", "F"], tuple[int, ...]]:
-    """Kind of the elements, their order and the shape, as a .npy file begins."""
+    """Read type of the elements, memory order and shape from the header of a .npy file."""
     start = stream.read(len(_MAGIC) + 2)
     form = _LENGTHS.get(tuple(start[len(_MAGIC) :]), "")
     if not start.startswith(_MAGIC) or not form:
-        raise ValueError("not in the form of .npy")
+        raise ValueError("it is not in .npy format")
     (length,) = struct.unpack(form, stream.read(struct.calcsize(form)))
     match = _HEADER.fullmatch(stream.read(length).decode()) if length <= _MAX_HEADER else None
     if match is None:
-        raise ValueError("accepted are numbers, truth values and texts")
+        raise ValueError("its elements must be numbers, truth values or text")
     try:
         dtype = np.dtype(match["dtype"])
     except TypeError as error:
-        raise ValueError(f"no numbers are called {match['dtype']}") from error
+        raise ValueError(f"numpy has no type {match['dtype']}") from error
     shape = tuple(int(size) for size in re.findall(r"[0-9]+", match["shape"]))
     return dtype, "F" if match["order"] == "True" else "C", shape

@@ -1,4 +1,4 @@
-"""A scene of particles with the jobs as methods."""
+"""Public Python interface of particle scenes: the jobs as methods of the scene."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from mbd_ros.scene.variants import with_sections
 
 
 class ParticleScene(particle_scene.ParticleScene):
-    """A built scene of particles, which runs jobs."""
+    """A built scene of particles, with the jobs (simulate, sample, bracket) as methods."""
 
     simulate = simulate
     sample = sample
@@ -19,22 +19,25 @@ class ParticleScene(particle_scene.ParticleScene):
 
     @classmethod
     def of(cls, scene: particle_scene.ParticleScene) -> "ParticleScene":
-        """The same scene with the jobs as methods."""
+        """Return the same scene with the jobs as methods."""
         return cls(scene.origin, scene.parts, scene.entries)
 
     def with_(self, **sections: Any) -> "ParticleScene":
-        """The scene with other sections; None removes one.
+        """Return a copy of the scene with other sections.
+
+        Args:
+            **sections: New sections, written as for `scene_from`; None removes a section.
 
         Raises:
-            SceneError: Names key, what is wrong and what is accepted.
+            SceneError: An entry is not accepted; the message names its key and accepted values.
         """
         return with_sections(self, **sections)
 
     def check(self) -> Lines:
-        """The lines of `mbd-ros check`.
+        """Return the report of `mbd-ros check`.
 
         Raises:
-            MbdError: The scene has no start from which it can move.
+            MbdError: The scene has no valid initial state.
         """
         from mbd_ros.scene.describe.particles import describe
 

@@ -1,7 +1,7 @@
-"""Entry of the executables of the package: Ctrl-C ends them from the first line on.
+"""Entry points of the executables; Ctrl-C ends them without a traceback at any time.
 
-What a program imports takes half a second. Until then nothing is built that would have to be
-closed, and a signal ends the process at once, without a traceback out of some import.
+Imports take half a second. Until they are done, nothing is open that would have to be closed, so
+a signal ends the process at once.
 """
 
 import signal
@@ -14,7 +14,7 @@ from mbd_ros.nodes.table import NODES
 
 
 def mbd_ros() -> int:
-    """Entry point `mbd-ros`."""
+    """Run the command line program `mbd-ros`."""
     end_on((signal.SIGINT,), INTERRUPTED)
     from mbd_ros.cli import main
 
@@ -23,7 +23,7 @@ def mbd_ros() -> int:
 
 
 def __getattr__(name: str) -> Callable[[], int]:
-    """Entry points of the nodes."""
+    """Return the entry point of the node with this name."""
     if name in NODES:
         return partial(start_node, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,8 +1,7 @@
-"""Regular files, opened for reading without waiting.
+"""Open regular files only, so that reading never blocks.
 
-A FIFO without a writer stops whoever opens it, and a device may never end. Both are refused before
-anything is read, and so are sockets and directories. Symbolic links are followed where nobody says
-otherwise.
+Opening a FIFO without a writer blocks, and a device may never end. Both are refused before
+anything is read, as are sockets and directories. Symbolic links are followed by default.
 """
 
 import errno
@@ -11,7 +10,7 @@ import stat
 from io import BufferedReader
 from pathlib import Path
 
-_WORDS = {
+_KINDS = {
     stat.S_IFIFO: "a FIFO",
     stat.S_IFSOCK: "a socket",
     stat.S_IFDIR: "a directory",
@@ -25,7 +24,7 @@ def open_regular(path: str | Path, *, follow_links: bool = True) -> BufferedRead
     """Open a regular file for reading.
 
     Raises:
-        OSError: It is absent, not readable or not a regular file; `strerror` says which.
+        OSError: The file is missing, not readable or not a regular file; `strerror` says which.
     """
     check_regular(path, follow_links=follow_links)  # first, since opening a device may act on it
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
@@ -39,10 +38,10 @@ def open_regular(path: str | Path, *, follow_links: bool = True) -> BufferedRead
 
 
 def check_regular(path: str | Path, *, follow_links: bool = True) -> None:
-    """Refuse what is not a regular file, before something else opens it by its path.
+    """Refuse a path that is not a regular file, before other code opens it.
 
     Raises:
-        OSError: It is absent or not a regular file; `strerror` says which.
+        OSError: The file is missing or not a regular file; `strerror` says which.
     """
     try:
         mode = os.stat(path, follow_symlinks=follow_links).st_mode
@@ -53,5 +52,5 @@ def check_regular(path: str | Path, *, follow_links: bool = True) -> None:
 
 def _check_mode(mode: int, path: str | Path) -> None:
     if not stat.S_ISREG(mode):
-        kind = _WORDS.get(stat.S_IFMT(mode), "of another kind")
+        kind = _KINDS.get(stat.S_IFMT(mode), "a special file")
         raise OSError(errno.EINVAL, f"it is {kind}, not a regular file", str(path))

@@ -138,13 +138,13 @@ class JointStateReader:
             raise MessageError(f"{field} has {width} values for {len(self._message_names)} names")
         if width == 0 or (field == "effort" and not self.with_effort):
             return np.broadcast_to(self.absent, (*rows, len(self.names))) if rows else self.absent
-        given: NDArray[np.float64] = (
+        message_values: NDArray[np.float64] = (
             values if isinstance(values, np.ndarray) else np.frombuffer(values, np.float64)
         )
         if self._in_order:
-            return given
-        picked = np.full((*given.shape[:-1], len(self.names)), np.nan)
-        picked[..., self._rows] = given[..., self._columns]
+            return message_values
+        picked = np.full((*message_values.shape[:-1], len(self.names)), np.nan)
+        picked[..., self._rows] = message_values[..., self._columns]
         return picked
 
 

@@ -300,7 +300,7 @@ def read_shapes(msg: Any) -> Shapes:
 
 
 class Shapes(NamedTuple):
-    """What a message shows.
+    """The shapes that a message shows.
 
     Attributes:
         points: [m], shape (n, 3).
@@ -313,9 +313,9 @@ class Shapes(NamedTuple):
 
 def _corners(marker: Any) -> NDArray[np.float64]:
     """The points of a marker, moved by its pose, shape (n, 3)."""
-    own = np.array([(p.x, p.y, p.z) for p in marker.points[: 2 * _MOST_SHAPES]]).reshape(-1, 3)
+    corners = np.array([(p.x, p.y, p.z) for p in marker.points[: 2 * _MOST_SHAPES]]).reshape(-1, 3)
     at, turn = marker.pose.position, marker.pose.orientation
     axis = np.array([turn.x, turn.y, turn.z])
-    turned = 2.0 * np.cross(axis, own)
-    moved: NDArray[np.float64] = own + turn.w * turned + np.cross(axis, turned)
+    turned = 2.0 * np.cross(axis, corners)
+    moved: NDArray[np.float64] = corners + turn.w * turned + np.cross(axis, turned)
     return moved + np.array([at.x, at.y, at.z])

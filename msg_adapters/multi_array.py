@@ -60,12 +60,12 @@ def values_by_label(msg: Any, labels: Sequence[str]) -> NDArray[np.float64]:
         Shape (len(labels),), NaN where a label is missing.
     """
     data, dimensions = msg.data, msg.layout.dim
-    found = (
+    values_of = (
         {one.label: at for at, one in enumerate(dimensions)}
         if len(dimensions) == len(data)
         else {}
     )
-    rows = [found.get(label) for label in labels]
+    rows = [values_of.get(label) for label in labels]
     return np.array([math.nan if row is None else data[row] for row in rows], dtype=np.float64)
 
 

@@ -26,7 +26,7 @@ from mbd_ros.core.complementarity.contact_problem import ContactProblem
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint_rows import Cone
 from mbd_ros.core.state import State
-from mbd_ros.methods.simulation.checked_steps import stepper_of
+from mbd_ros.methods.simulation.checked_steps import build_stepper
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
@@ -117,7 +117,7 @@ def _step(scene: Scene, name: str, x: State, dt: float = _DT) -> Call:
     """A step of a method, each from where the last one ended."""
     method = build_part("integrators", {"type": name}, "benchmark")
     system = scene.system()
-    stepper = stepper_of(method, system, dt)
+    stepper = build_stepper(method, system, dt)
     y = stepper.settle(system.reduce(x), None)
 
     def step() -> None:

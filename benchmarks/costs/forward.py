@@ -22,7 +22,7 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.methods.simulation.checked_steps import stepper_of
+from mbd_ros.methods.simulation.checked_steps import build_stepper
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.locate import find_file
@@ -92,7 +92,7 @@ def _steps(arm: Robot, rounds: int) -> dict[str, float]:
     stops = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
     for name in ("adams", "rk4"):
         method = build_part("integrators", {"type": name}, "benchmark")
-        stepper = stepper_of(method, _system(arm, Couplings(arm), [stops]), 1e-4)
+        stepper = build_stepper(method, _system(arm, Couplings(arm), [stops]), 1e-4)
         x = stepper.settle(State(0.0, q, v), None)
         calls[f"{name}_stops_idle"] = _step(stepper, x)
     return _ratios(arm, q, v, calls, rounds)

@@ -1,8 +1,8 @@
 """Build the site: `make docs`, or `python docs/site/build.py FOLDER [BUILDER]`.
 
-The pages of `docs/` go into one folder with those that are made from the package, and
-`docs/index.md` says in which order they stand: a heading is a group, each link in it a page.
-A warning ends the build with an error; so does a page that no group has, or a dead link.
+The pages of `docs/` and those that are generated from the package go into one folder.
+`docs/index.md` gives their order: a heading is a group, each link below it a page. A warning, a
+page without a group or a dead link ends the build with an error.
 """
 
 import re
@@ -14,6 +14,7 @@ from pathlib import Path
 import command_reference
 import node_reference
 import python_reference
+import robot_reference
 import scene_reference
 from sphinx.cmd.build import main as sphinx_build
 
@@ -21,27 +22,30 @@ SITE = Path(__file__).parent
 DOCS = SITE.parent
 ROOT = DOCS.parent
 SOURCE = ROOT / "build/docs_source"
-MADE = {
+GENERATED = {
     "scene_reference": scene_reference,
     "node_reference": node_reference,
     "command_reference": command_reference,
     "python_reference": python_reference,
+    "robot_reference": robot_reference,
 }
-GROUP_OF_MADE = "Reference"
+GROUP_OF_GENERATED = "Reference"
 OF_PROJECT = ("CONTRIBUTING", "CHANGELOG")
 _HEADING = re.compile(r"^## (.+)$", re.MULTILINE)
 _PAGE = re.compile(r"\]\((\w+)\.md\)")
 _NAMED_BY_FILE = re.compile(r"\[(?:docs/)?\w+\.md\]\((?=\w+\.md)")
+_GENERATED_PAGE = re.compile(r"`(\w+_reference)\.md`")
 _OF_SOURCES = re.compile(r"\[([^\]]+)\]\(\.\./(?!CONTRIBUTING|CHANGELOG)[^)]+\)")
 
 
-def main(words: list[str]) -> int:
-    """Put the pages together and build them.
+def main(arguments: list[str]) -> int:
+    """Assemble the pages and build them.
 
     Args:
-        words: Folder of the result, and the builder of Sphinx: html by default, linkcheck too.
+        arguments: Folder of the result, and the builder of Sphinx: html (default) or linkcheck.
     """
-    out, builder = Path(words[0]), (words[1:] or ["html"])[0]
+    out = Path(arguments[0])
+    builder = (arguments[1:] or ["html"])[0]
     assemble(SOURCE)
     options = ["-b", builder, "-c", str(SITE), "-W", "--keep-going", "-q", "-j", "2"]
     doctrees = ROOT / "build/docs_doctrees"
@@ -49,15 +53,15 @@ def main(words: list[str]) -> int:
 
 
 def assemble(folder: Path) -> None:
-    """Write all pages into a folder, replacing what it held.
+    """Write all pages into a folder, and delete its former contents.
 
     Args:
-        folder: Of the pages, flat, with the pictures of `docs/images` in `images/`.
+        folder: Folder of the pages, flat, with the pictures of `docs/images` in `images/`.
     """
     texts = {page.stem: page.read_text(encoding="utf-8") for page in DOCS.glob("*.md")}
     for name in OF_PROJECT:
         texts[name] = (ROOT / f"{name}.md").read_text(encoding="utf-8")
-    texts |= {name: module.page() for name, module in MADE.items()}
+    texts |= {name: module.page() for name, module in GENERATED.items()}
     texts = {name: at_one_level(text) for name, text in texts.items()}
     texts["index"] += navigation(texts["index"])
     shutil.rmtree(folder, ignore_errors=True)
@@ -67,17 +71,18 @@ def assemble(folder: Path) -> None:
 
 
 def at_one_level(text: str) -> str:
-    """A page as it stands in the folder of all pages.
+    """Return a page as the flat folder of all pages needs it.
 
-    Links count from there, those that show the name of a page show its title, and those to source
-    files are text.
+    Links start from there. Links that show the name of a page show its title, links to source
+    files become text, and the names of generated pages become links.
     """
     text = text.replace("](docs/", "](").replace("](../CO", "](CO").replace("](../CH", "](CH")
-    return _OF_SOURCES.sub(r"\1", _NAMED_BY_FILE.sub("[](", text))
+    text = _GENERATED_PAGE.sub(r"[](\1.md)", _NAMED_BY_FILE.sub("[](", text))
+    return _OF_SOURCES.sub(r"\1", text)
 
 
 def navigation(index: str) -> str:
-    """Tables of contents for the side of the site, one a group of the index."""
+    """Return tables of contents for the sidebar, one for each group of the index."""
     lines = []
     for title, pages in groups(index).items():
         entries = "\n".join(pages)
@@ -86,12 +91,13 @@ def navigation(index: str) -> str:
 
 
 def groups(index: str) -> Mapping[str, list[str]]:
-    """Pages by the heading under which the index lists them, and what is made here."""
+    """Return pages by the heading under which the index lists them, with the generated ones."""
     _, *pieces = _HEADING.split(index)
     titles, texts = pieces[::2], pieces[1::2]
-    found = {title: _PAGE.findall(text) for title, text in zip(titles, texts, strict=True)}
-    found[GROUP_OF_MADE] += MADE
-    return found
+    pages = {title: _PAGE.findall(text) for title, text in zip(titles, texts, strict=True)}
+    listed = pages[GROUP_OF_GENERATED]
+    listed += [name for name in GENERATED if name not in listed]
+    return pages
 
 
 if __name__ == "__main__":

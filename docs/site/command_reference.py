@@ -1,4 +1,4 @@
-"""The page of commands: their arguments and options, read from their parsers."""
+"""Generate the reference of commands from their parsers."""
 
 import argparse
 from collections.abc import Iterator
@@ -10,13 +10,14 @@ from mbd_ros.jobs.table import COMMANDS, command_module
 _HEAD = """\
 # Commands and options
 
-Made from the parsers of the commands by `make docs`; `mbd-ros COMMAND --help` says the same.
-[command_line.md](command_line.md) says what all commands share.
+With this page you can look up every command with its arguments and options. `make docs` generates
+it from the parsers, which also print `mbd-ros COMMAND --help`. [command_line.md](command_line.md)
+says what all commands share.
 """
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     overview = table(
         ("command", "does"),
         ((f"[`{name}`](#{name})", command.text) for name, command in COMMANDS.items()),
@@ -30,30 +31,30 @@ def page() -> str:
 def _command(name: str) -> Iterator[str]:
     parser = argparse.ArgumentParser(f"mbd-ros {name}", formatter_class=_Wide)
     command_module(name).add_arguments(parser)
-    yield COMMANDS[name].text[0].upper() + COMMANDS[name].text[1:] + "."
+    yield COMMANDS[name].text
     if parser.description and parser.description != COMMANDS[name].text:
         yield parser.description
     yield f"```text\n{parser.format_usage().removeprefix('usage: ').strip()}\n```"
     actions = [a for a in parser._actions if a.dest != "help"]  # argparse shows them nowhere else
     if actions:
-        yield table(("argument", "means"), ((code(_written(a)), _text(a)) for a in actions))
+        yield table(("argument", "means"), ((code(_usage(a)), _text(a)) for a in actions))
 
 
 class _Wide(argparse.HelpFormatter):
-    """Lines as long as a page is wide, on whatever terminal."""
+    """A formatter with lines as long as a page is wide, on any terminal."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=96)
 
 
-def _written(action: argparse.Action) -> str:
-    """An argument as a command line has it."""
+def _usage(action: argparse.Action) -> str:
+    """Return an argument as a command line contains it."""
     choices = "|".join(map(str, action.choices)) if action.choices else ""
     metavar = action.metavar
-    shown = (metavar if isinstance(metavar, str) else " ".join(metavar or ())) or choices
+    values = (metavar if isinstance(metavar, str) else " ".join(metavar or ())) or choices
     if not action.option_strings:
-        return shown or action.dest.upper()
-    value = "" if action.nargs == 0 else f" {shown or action.dest.upper()}"
+        return values or action.dest.upper()
+    value = "" if action.nargs == 0 else f" {values or action.dest.upper()}"
     return ", ".join(action.option_strings) + value
 
 

@@ -1,4 +1,4 @@
-"""Google docstrings for pages: as Markdown, and without what reStructuredText would misread."""
+"""Convert Google docstrings for pages: to Markdown, and to text that reStructuredText reads."""
 
 import inspect
 import re
@@ -11,16 +11,16 @@ _LITERAL = re.compile(r"(`[^`]*`)")
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Have Sphinx call `without_markup` before any other reader of docstrings."""
+    """Make Sphinx call `without_markup` before any other reader of docstrings."""
     app.connect("autodoc-process-docstring", without_markup, priority=100)
     app.connect("autodoc-skip-member", _is_field)
     return {"parallel_read_safe": True}
 
 
 def without_markup(
-    app: Any, kind: str, name: str, shown: Any, options: Any, lines: list[str]
+    app: Any, kind: str, name: str, documented: Any, options: Any, lines: list[str]
 ) -> None:
-    """Escape signs that mean something in reStructuredText: |e|, a * b, f_."""
+    """Escape the signs of reStructuredText in place: |e|, a * b, f_."""
     for i, line in enumerate(lines):
         if line.lstrip().startswith(("*", "**")) and ":" in line:  # `*words:` of Args
             continue
@@ -32,32 +32,33 @@ def without_markup(
 def _is_field(
     app: Any, kind: str, name: str, member: Any, skip: bool, options: Any
 ) -> bool | None:
-    """Whether a member is a field of a named tuple, which its class describes."""
+    """Return whether a member is a field of a named tuple, which its class describes."""
     return True if (inspect.getdoc(member) or "").startswith("Alias for field") else None
 
 
 def summary(documented: Any) -> str:
-    """The first paragraph of a docstring, in one line."""
+    """Return the first paragraph of a docstring, in one line."""
     return " ".join((inspect.getdoc(documented) or "").partition("\n\n")[0].split())
 
 
 def body(documented: Any) -> str:
-    """What a docstring says after its first paragraph, without its lists of arguments.
+    """Return a docstring without its first paragraph and its lists of arguments.
 
     Equations are indented in docstrings, which makes them blocks in Markdown as well.
     """
-    kept, inside = [], False
+    lines = []
+    inside = False
     text = (inspect.getdoc(documented) or "").partition("\n\n")[2]
     for line in text.splitlines():
         if line and not line[0].isspace():
             inside = _HEADING.fullmatch(line.rstrip()) is not None
         if not inside:
-            kept.append(line)
-    return _sources_on_one_line("\n".join(kept)).strip()
+            lines.append(line)
+    return _sources_on_one_line("\n".join(lines)).strip()
 
 
 def _sources_on_one_line(text: str) -> str:
-    """Text in which the indented lines that continue a source are part of its paragraph."""
+    """Return the text with each source on one line."""
     lines: list[str] = []
     inside = False
     for line in text.splitlines():

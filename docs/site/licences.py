@@ -1,8 +1,8 @@
-"""Write the page of licences: `make licences`, or `python docs/site/licences.py PYTHON ..`.
+"""Generate the page of licences: `make licences`, or `python docs/site/licences.py PYTHON ..`.
 
 Licences come from the metadata of installed packages, which pip-licenses reads in the environment
-of each interpreter named. `licences.csv` has those of packages whose metadata name none, and of
-packages that none of these environments holds.
+of each interpreter. `licences.csv` has the licences of packages without such metadata, and of
+packages that none of these environments contains.
 """
 
 import csv
@@ -32,25 +32,23 @@ _UNKNOWN = ("UNKNOWN", "OSI Approved")
 _HEAD = """\
 # Licences
 
-This page lists the licence of every package that the files in `requirements/` pin, so that you
-can check what you install. mbd_ros itself is under the Apache-2.0. The recordings that only tests
-read have their licences beside them, in `test/data`.
+With this page you can check the licence of every package that the files in `requirements/` pin.
+mbd_ros itself is under the Apache-2.0.
 
-`make licences` writes this page from the metadata of the installed packages. The last column says
-where a licence was looked up if the metadata name none, or if `.venv` does not hold the package.
+`make licences` generates this page from the metadata of the installed packages. The last column
+names the place in which a licence was looked up if the metadata do not state it. The recordings in
+`test/data` have their licences beside them.
 
 ## What to look at
 
-- **qpsolvers** is under the LGPL-3.0. It is required, and imported where a scene names another
-  `backend` than `proxqp`. mbd_ros uses it as published, so that you may replace it by a version of
-  your own.
-- **casadi** is under the LGPL-3.0 or later. Of the extras that users install, only `compiled`
-  brings it.
-- **quadprog** is under the GPL-2.0 or later. It is for development only: tests compare solutions
-  with it, and only the extra `dev` brings it. No module of mbd_ros imports it; a scene that names
-  it as `backend` reaches it through qpsolvers, if you installed it.
-- **Mosek** and **exudyn** have licences of their own. They belong to the programs that
-  `mbd-ros report` compares mbd_ros with.
+- **qpsolvers** is under the LGPL-3.0. It is required, and imported if a scene names another
+  `backend` than `proxqp`. mbd_ros uses it unchanged, so you may replace it by your own version.
+- **casadi** is under the LGPL-3.0 or later. The extra `compiled` installs it.
+- **quadprog** is under the GPL-2.0 or later. Only the extra `dev` installs it: tests compare
+  solutions with it. No module of mbd_ros imports it; a scene that names it as `backend` reaches it
+  through qpsolvers, if you installed it.
+- **Mosek** and **exudyn** have licences of their own. They belong to the programs with which
+  `mbd-ros report` compares mbd_ros.
 """
 
 
@@ -65,21 +63,21 @@ def main(pythons: Sequence[str]) -> None:
     """Write the page.
 
     Args:
-        pythons: Interpreters of the environments whose packages are read.
+        pythons: Interpreters of the environments to read.
     """
     licences = looked_up() | {
         name: licence for python in reversed(pythons) for name, licence in installed(python)
     }
     pins = {name: dict(pinned(name)) for name in FILES}
-    lacking = {p for names in pins.values() for p in names if plain(p) not in licences}
-    if lacking:
-        words = ", ".join(sorted(lacking))
-        sys.exit(f"no licence of {words}: look it up and add it to {LOOKED_UP}")
+    missing = {p for names in pins.values() for p in names if plain(p) not in licences}
+    if missing:
+        names = ", ".join(sorted(missing))
+        sys.exit(f"the licence of {names} is unknown: look it up and add it to {LOOKED_UP}")
     PAGE.write_text(page(licences), encoding="utf-8")
 
 
 def page(licences: Mapping[str, Licence]) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     pieces = [_HEAD]
     for name, title in FILES.items():
         rows = ((pin, version, *licences[plain(pin)]) for pin, version in pinned(name))
@@ -91,16 +89,16 @@ def page(licences: Mapping[str, Licence]) -> str:
 
 
 def pinned(name: str) -> list[tuple[str, str]]:
-    """Names and versions of a file of requirements."""
+    """Return names and versions of a file of requirements."""
     return _PIN.findall((ROOT / f"requirements/{name}.txt").read_text(encoding="utf-8"))
 
 
 def installed(python: str) -> Iterator[tuple[str, Licence]]:
-    """Plain names of the packages of an environment, each with the licence that it names."""
-    words = [sys.executable, "-m", "piplicenses", "--python", python]
-    words += ["--from=all", "--format=json", "--with-system"]
-    found = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-    for package in json.loads(found):
+    """Yield the plain name and licence of each package in an environment."""
+    command = [sys.executable, "-m", "piplicenses", "--python", python]
+    command += ["--from=all", "--format=json", "--with-system"]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    for package in json.loads(output):
         kinds = ("License-Expression", "License-Classifier", "License-Metadata")
         named = [package[kind] for kind in kinds if package[kind] not in _UNKNOWN]
         if named:
@@ -108,14 +106,14 @@ def installed(python: str) -> Iterator[tuple[str, Licence]]:
 
 
 def looked_up() -> dict[str, Licence]:
-    """Plain names of the packages of `licences.csv` and their licences."""
+    """Return the licences of `licences.csv` by the plain names of packages."""
     with LOOKED_UP.open(encoding="utf-8", newline="") as file:
         rows = csv.DictReader(file)
         return {plain(r["package"]): Licence(r["licence"], r["looked up in"]) for r in rows}
 
 
 def plain(name: str) -> str:
-    """The name of a package as PyPI compares it."""
+    """Return the name of a package as PyPI compares it."""
     return re.sub("[-_.]+", "-", name).lower()
 
 

@@ -1,4 +1,4 @@
-"""The moving picture of the README: `make picture` simulates a leg and draws it.
+"""Draw the moving picture of the README: `make picture` simulates a leg.
 
 The scene `muscle_leg` swings as in `mbd-ros demo walking`: nine muscles move hip, knee and ankle.
 Muscles are as thick and as red as their tension; beside them stand the curves of the largest ones.
@@ -34,7 +34,7 @@ CURVES = ("iliopsoas", "hamstrings", "tibialis_anterior", "rectus_femoris")
 
 
 class Drawing(NamedTuple):
-    """What moves in the picture."""
+    """Artists of the picture that move."""
 
     muscles: LineCollection
     bones: LineCollection
@@ -44,7 +44,7 @@ class Drawing(NamedTuple):
 
 
 def main() -> None:
-    """Simulate, draw and write the picture, where the command line says or in `docs/images`."""
+    """Simulate, draw and write the picture to the path of the command line or to `docs/images`."""
     scene = marked_leg()
     swing = scene.simulate(DURATION, efforts=excitations(scene), dt=STEP)
     mpl.rcParams["savefig.bbox"] = None
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def prepare(leg: Any, curves: Any, swing: Result) -> Drawing:
-    """Axes, curves and what will move."""
+    """Draw axes and curves, and return the artists that move."""
     leg.set(xlim=(-0.62, 0.5), ylim=(0.0, 1.12), aspect="equal")
     leg.axis("off")
     leg.fill(*np.add(PELVIS, ORIGIN_OF_PELVIS).T, fc=BONE, ec=OUTLINE, lw=1.5, joinstyle="round")
@@ -81,7 +81,7 @@ def prepare(leg: Any, curves: Any, swing: Result) -> Drawing:
 
 
 def updater(scene: Scene, motion: ViewedMotion, frames: Frames, drawing: Drawing) -> Any:
-    """The function that draws a sample."""
+    """Return the function that draws a sample."""
     assert motion.multipliers is not None  # the scene has no rows
     of: Any = motion.states, motion.accelerations, motion.multipliers
     tensions = np.array([frames.tensions(*each) for each in zip(*of, strict=True)])
@@ -107,7 +107,7 @@ def updater(scene: Scene, motion: ViewedMotion, frames: Frames, drawing: Drawing
 
 
 def placed(scene: Scene, data: Any, q: Any) -> Any:
-    """A function of a link and a point on it, x and z there, that gives x and z in the world."""
+    """Return a function from a link and a point on it (x, z) to that point in the world (x, z)."""
     model = scene.robot.model
     pin.framesForwardKinematics(model, data, q)
 

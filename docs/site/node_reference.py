@@ -1,4 +1,4 @@
-"""The page of nodes: topics and services of nodes that run, and their parameters."""
+"""Generate the reference of nodes: topics and services of running nodes, and their parameters."""
 
 import os
 import re
@@ -27,10 +27,10 @@ OF_EVERY_NODE = re.compile(
 _HEAD = """\
 # Topics and parameters of the nodes
 
-Made by `make docs` from nodes that ran with their file in `config/nodes`, and with the scenes
-{scenes} where they take them: topics depend on the scene. [nodes.md](nodes.md) says what each
-means, and what the answer to a fault is. Every node is a life-cycle node, and writes
-`/diagnostics` (diagnostic_msgs/DiagnosticArray).
+With this page you can look up the topics, services and parameters of every node. `make docs`
+generates it from running nodes with their file in `config/nodes`, and with the scenes {scenes},
+since topics depend on the scene. [nodes.md](nodes.md) explains topics and faults. Every node also
+publishes `/diagnostics` (diagnostic_msgs/DiagnosticArray).
 """
 
 
@@ -43,7 +43,7 @@ class Entity(NamedTuple):
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     scenes = ", ".join(map(code, OTHER_SCENES))
     pieces = [_HEAD.format(scenes=scenes)]
     with _silent_domain() as domain:
@@ -55,21 +55,21 @@ def page() -> str:
 
 
 def entities(name: str, domain: int, scene: str = "") -> list[Entity]:
-    """What a node has in ROS while it is active.
+    """Return the topics and services of a node while it is active.
 
     Args:
-        name: Of the node.
-        domain: Of DDS.
-        scene: In place of that of its parameter file.
+        name: Name of the node.
+        domain: Domain of DDS.
+        scene: Scene that replaces the one of the parameter file.
 
     Raises:
-        RuntimeError: The node does not become active with its own file, with the reason.
+        RuntimeError: The node does not become active with its own parameter file.
     """
-    words = ["--ros-args", "--params-file", str(PARAMETER_FILES / f"{name}.yaml")]
-    rclpy.init(args=words + (["-p", f"scene:={scene}"] if scene else []), domain_id=domain)
+    arguments = ["--ros-args", "--params-file", str(PARAMETER_FILES / f"{name}.yaml")]
+    rclpy.init(args=arguments + (["-p", f"scene:={scene}"] if scene else []), domain_id=domain)
     node = _node_class(name)([])
     try:
-        node.get_logger().set_level(50)  # other scenes may not fit: no news
+        node.get_logger().set_level(50)  # scenes that do not fit the node are no error here
         node.try_start()
         if not node.active and not scene:
             raise RuntimeError(f"node {name} does not start: {node.fault}")
@@ -81,13 +81,13 @@ def entities(name: str, domain: int, scene: str = "") -> list[Entity]:
 
 
 def _entities(node: Any) -> Iterator[Entity]:
-    found = [(p.topic_name, p.msg_type, "out") for p in node.publishers]
-    found += [(s.topic_name, s.msg_type, "in") for s in node.subscriptions]
-    found += [(s.srv_name, s.srv_type, "service") for s in node.services]
-    for name, kind, direction in found:
+    endpoints = [(p.topic_name, p.msg_type, "out") for p in node.publishers]
+    endpoints += [(s.topic_name, s.msg_type, "in") for s in node.subscriptions]
+    endpoints += [(s.srv_name, s.srv_type, "service") for s in node.services]
+    for name, kind, direction in endpoints:
         if not name.startswith(OF_ROS) and not OF_EVERY_NODE.search(name):
-            own = name.replace(f"{node.get_fully_qualified_name()}/", "~/").removeprefix("/")
-            yield Entity(own, f"{kind.__module__.split('.')[0]}/{kind.__name__}", direction)
+            relative = name.replace(f"{node.get_fully_qualified_name()}/", "~/").removeprefix("/")
+            yield Entity(relative, f"{kind.__module__.split('.')[0]}/{kind.__name__}", direction)
 
 
 def _silent_domain() -> Any:
@@ -99,11 +99,11 @@ def _node(name: str, domain: int) -> Iterator[str]:
     node_class = _node_class(name)
     yield summary(node_class)
     yield body(node_class)
-    found = entities(name, domain)
+    endpoints = entities(name, domain)
     if any(parameter.name == "scene" for parameter in node_class.PARAMETERS):
         for scene in OTHER_SCENES:
-            found += [e for e in entities(name, domain, scene) if e not in found]
-    rows = [(code(e.name), e.kind, e.direction) for e in sorted(found, key=_order)]
+            endpoints += [e for e in entities(name, domain, scene) if e not in endpoints]
+    rows = [(code(e.name), e.kind, e.direction) for e in sorted(endpoints, key=_order)]
     yield table(("topic or service", "type", ""), rows)
     yield _parameters(node_class.PARAMETERS)
 

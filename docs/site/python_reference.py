@@ -1,4 +1,4 @@
-"""The page of the Python interface: directives that have Sphinx read the docstrings."""
+"""Generate the reference of the Python interface: directives that make Sphinx read docstrings."""
 
 import mbd_ros
 
@@ -8,7 +8,7 @@ CONTRACTS = {
         "mbd_ros.core.rows.constraint",
     ),
     "Values": ("mbd_ros.core.state",),
-    "What parts ask": ("mbd_ros.core.kinematics.kinematics",),
+    "Kinematics for parts": ("mbd_ros.core.kinematics.kinematics",),
     "Control laws": ("mbd_ros.methods.control.contract",),
     "Ranges and units of arguments": ("mbd_ros.core.ranges",),
     "Errors": ("mbd_ros.errors",),
@@ -16,18 +16,19 @@ CONTRACTS = {
 _HEAD = """\
 # Python interface
 
-Made from docstrings by `make docs`. [python.md](python.md) shows how it is used.
+With this page you can look up every public class and function of Python. `make docs` generates it
+from docstrings; [python.md](python.md) has examples.
 
 ## import mbd_ros as mbd
 
 """
-_OF_PARTS = "What parts of your own derive from and call; [extend.md](extend.md) has examples.\n\n"
+_OF_PARTS = "Base classes for parts of your own; [extend.md](extend.md) has examples.\n\n"
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     names = [name for name in mbd_ros.__all__ if name not in ("__version__", "MbdError")]
-    return _HEAD + _rst(map(_public, names)) + "\n" + _OF_PARTS.join(("", _contracts()))
+    return _HEAD + _rst(map(_public, names)) + "\n" + _OF_PARTS + _contracts()
 
 
 def _contracts() -> str:
@@ -38,9 +39,9 @@ def _contracts() -> str:
 
 
 def _public(name: str) -> str:
-    found = getattr(mbd_ros, name)
-    home = f"{found.__module__}.{found.__name__}"
-    if not isinstance(found, type):
+    value = getattr(mbd_ros, name)
+    home = f"{value.__module__}.{value.__name__}"
+    if not isinstance(value, type):
         return f".. autofunction:: {home}\n"
     return f".. autoclass:: {home}\n   :members:\n   :inherited-members: Mapping, Exception\n"
 

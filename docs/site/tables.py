@@ -4,18 +4,18 @@ from collections.abc import Iterable, Sequence
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table.
+    """Return a table.
 
     Args:
         head: Titles of the columns.
-        rows: Cells of each row, as Markdown; a line break or a bar in one is taken care of.
+        rows: Cells of each row, as Markdown; line breaks and bars are escaped.
     """
     lines = [_row(head), _row(["---"] * len(head)), *map(_row, rows)]
     return "\n".join(lines) + "\n"
 
 
 def code(text: str) -> str:
-    """A text as code in a cell; nothing where there is none."""
+    """Return a text as code for a cell; nothing for an empty text."""
     return f"`{text}`" if text else ""
 
 

@@ -1,10 +1,10 @@
-"""What a part of a scene is: the contracts of loads, actuators and sensors, and what they show.
+"""The contracts of the parts of a scene: loads, actuators, sensors, and their outputs.
 
-A part binds points and frames while it is built and asks the kinematics k for them at a state; it
-never changes its inputs, and keeps no memory of earlier states. Positions are counted from
+A part binds points and frames while it is built, and reads them from the kinematics k at a state.
+It never changes its inputs and keeps no memory of earlier states. Positions are counted from
 `Robot.origin`.
 
-Methods of parts take the kinematics `k` at the state, refreshed as far as the `reads` of the part
+Methods of parts take the kinematics `k` at the state, refreshed as far as `reads` of the part
 says, the state `x` of all joints, with internal states inside their bounds, and all inputs `u`.
 """
 
@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from enum import Enum, IntEnum
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,19 +27,27 @@ Value = float | Array
 
 
 class Part:
-    """What a scene is made of.
+    """A part of a scene: a force, a constraint, a sensor, ...
 
     Attributes:
         name: Unique in the scene, without a dot; the type of a part that no scene has built.
-        reads: What its methods read of k at most.
-        inputs: What it takes from outside while it runs.
-        internal: Its states besides q and v, which `rates` moves.
-        guards: Numbers whose zeros are events, see `guard_values`.
-        outputs: What it shows besides the multipliers of its rows.
+        reads: Level of the kinematics that its methods read at most.
+        inputs: Channels that it takes from outside while it runs.
+        internal: Its states besides q and v, whose rates `rates` returns.
+        guards: Numbers whose zeros are events; `guard_values` returns them.
+        outputs: Quantities that it shows besides the multipliers of its rows.
         u: Its inputs in the u of the scene; all of u until it is bound.
         z: Its internal states in the z of a state; all of z until it is bound.
+        is_constraint: Whether it has rows, as every `Constraint`.
+        is_actuator: Whether it takes commands, as every `Actuator`.
+        path: Path along which it acts or which it measures; None without one.
+        pair: Pair of bodies that it keeps apart, as a contact does; None without one.
     """
 
+    is_constraint: ClassVar[bool] = False
+    is_actuator: ClassVar[bool] = False
+    path: Any = None
+    pair: Any = None
     name: str = ""
     reads: Reads = Reads.NOTHING
     inputs: tuple[Channel, ...] = ()
@@ -54,46 +62,47 @@ class Part:
         cls.name = type_name(cls)
 
     def bind(self, slots: Slots) -> None:
-        """Learn where its numbers stand; once, when all parts are known."""
+        """Store the places of its inputs and internal states; called once, when all are known."""
         self.u, self.z = slots
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rates of `internal`, in their order, shape (len(internal),)."""
+        """Return the rates of `internal`, in their order, shape (len(internal),)."""
         raise NotImplementedError
 
     def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
-        """What is zero where w are the rates, in their units, shape (len(internal),).
+        """Return the residual of the rates w, in their units, shape (len(internal),).
 
-        A part whose rates solve an equation states that equation instead, for collocation.
+        A part whose rates solve an implicit equation returns the residual of that equation, for
+        collocation.
         """
         return w - self.rates(k, x, u)
 
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
-        """Values of `internal` at which their rates are 0, for a start at equilibrium.
+        """Return the values of `internal` at which their rates are 0, for a start at equilibrium.
 
-        In x, internal states that are given keep their values, others are NaN.
+        In x, internal states with a prescribed value have it, others are NaN.
 
         Returns:
-            All of them, in their order; None where the part does not know them: they are looked
-            for then.
+            All of them, in their order; None where the part does not know them and a search has
+            to find them.
         """
         return None
 
     def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
-        """Values of `guards`, in their order, shape (len(guards),)."""
+        """Return the values of `guards`, in their order, shape (len(guards),)."""
         raise NotImplementedError
 
     def reset(self, k: Kinematics, x: State, u: Array) -> State:
-        """The state of all joints after a guard of the part was zero; the same one by default."""
+        """Return the state of all joints after a guard of the part was zero; by default x."""
         return x
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Values of `outputs`, in their order; asked for at samples only."""
+        """Return the values of `outputs`, in their order; called at samples only."""
         return ()
 
 
 def type_name(kind: type) -> str:
-    """Type as scenes write it: `joint_spring` of JointSpring."""
+    """Return the type as scenes write it: `joint_spring` for JointSpring."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind.__name__).lower()
 
 
@@ -102,10 +111,10 @@ class Channel(NamedTuple):
 
     Attributes:
         name: Unique in the part; empty where the part has only one.
-        unit: N·m, rad, ..
-        lower: Smallest value that has an effect, -inf without.
-        upper: Largest one, inf without.
-        safe: Value where nobody gives one that can be trusted.
+        unit: Unit, such as N·m or rad.
+        lower: Smallest value that has an effect, -inf without a bound.
+        upper: Largest value that has an effect, inf without a bound.
+        safe: Value that applies while no trustworthy command exists.
     """
 
     name: str
@@ -116,13 +125,13 @@ class Channel(NamedTuple):
 
 
 class Internal(NamedTuple):
-    """A state of a part of its own: activation, motor current, length of a bristle.
+    """An internal state of a part: activation, motor current, deflection of a bristle.
 
     Attributes:
         name: Unique in the part; empty where the part has only one.
-        unit: rad, A, ..; empty for pure numbers.
-        lower: Smallest value it may have, -inf without.
-        upper: Largest one, inf without.
+        unit: Unit, such as rad or A; empty for pure numbers.
+        lower: Smallest accepted value, -inf without a bound.
+        upper: Largest accepted value, inf without a bound.
         initial: Value at the start; None for the equilibrium, where the rates are 0: `at_rest`.
         is_constant: Whether its rate is always 0.
     """
@@ -140,10 +149,12 @@ class Guard(NamedTuple):
 
     Attributes:
         name: Unique in the part; empty where the part has only one.
-        direction: 1 where it acts on the way up, -1 on the way down, 0 both ways.
-        armed: Whether it acts in a mode, in all by default. It acts only after it has left zero.
-        condition: Whether it acts at a state of all joints where it is zero; by default, it does.
-        ends: Whether it ends a phase: nothing else happens in that phase then.
+        direction: 1 where it acts while it rises, -1 while it falls, 0 in both directions.
+        armed: Returns whether it acts in a mode; it acts in all modes by default. It acts only
+            after it has left zero.
+        condition: Returns whether it acts at a state of all joints where it is zero; by default
+            it does.
+        ends: Whether it ends a phase, without any other effect in that phase.
     """
 
     name: str
@@ -154,10 +165,11 @@ class Guard(NamedTuple):
 
 
 class Slots(NamedTuple):
-    """Where the numbers of a part stand.
+    """Places of the numbers of a part.
 
     Attributes:
-        internal: In the z of a state.
+        inputs: Place of its inputs in the u of the scene.
+        internal: Place of its internal states in the z of a state.
     """
 
     inputs: slice
@@ -168,25 +180,33 @@ class Load(Part):
     """A generalized force that depends on a state and on inputs, never on accelerations.
 
     Attributes:
-        surfaces: Names of those at which it jumps, see `events.switching.DiscontinuousForce`.
-        brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
-        gives_work: Whether its work counts as that of an actuator, as of every `Actuator`.
+        surfaces: Names of the surfaces at which it jumps; `DiscontinuousForce` has the contract.
+        brings: Entries of `<dynamics>` of its `joint` that it models: friction, damping.
+        gives_work: Whether its work counts as work of an actuator, as that of every `Actuator`.
         has_inertia: Whether it adds `inertia`, which takes a solve with the whole mass matrix.
+        is_compliant_contact: Whether it is a contact with `slopes` of its force.
+        has_metabolic_rate: Whether it is a muscle with a `metabolic_rate`.
+        description: Description of the learned model that gives the force; None for others.
     """
 
+    is_compliant_contact: ClassVar[bool] = False
+    has_metabolic_rate: ClassVar[bool] = False
+    description: Any = None
     gives_work: bool = False
     has_inertia: bool = False
     brings: tuple[str, ...] = ()
     surfaces: tuple[str, ...] = ()
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force on the joints [N·m or N], shape (nv,)."""
+        """Return the generalized force on the joints [N·m or N], shape (nv,)."""
         raise NotImplementedError
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """Slopes of an affine force: force(u) = force(0) + columns u, shape (nv, len(inputs)).
+        """Return the slopes of an affine force, shape (nv, len(inputs)).
 
-        That holds while every input is within the bounds of its channel.
+            force(u) = force(0) + columns u
+
+        The force is affine while every input is within the bounds of its channel.
 
         Returns:
             None where the force is not affine in the inputs.
@@ -194,80 +214,82 @@ class Load(Part):
         return None
 
     def constant_slopes(self, nv: int, nz: int) -> Array | None:
-        """Derivative of the force by steps of (q, v, z) of all joints, where it never changes.
+        """Return the derivative of the force by steps of (q, v, z), where it never changes.
 
-        Whoever gives it has internal states whose rates never change either.
+        The rates of its internal states then have constant derivatives, too.
 
         Args:
             nv: Size of the velocity of the robot.
             nz: Number of internal states of the scene.
 
         Returns:
-            Shape (nv, 2 nv + nz); None where it depends on the state, or nobody knows it.
+            Shape (nv, 2 nv + nz); None where it depends on the state or is unknown.
         """
         return None
 
     def beside(self, k: Kinematics, x: State) -> Load:
-        """The force near a state, smooth across the surfaces at which it jumps."""
+        """Return the force near a state, smooth across the surfaces at which it jumps."""
         return self
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy that it stores [J], by what is conservative in its force and by its states."""
+        """Return the energy [J] stored by its conservative force and its internal states."""
         return 0.0
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """Wrenches on bodies; empty for a force in joints, between parent and child."""
+        """Return its wrenches on bodies; empty for forces in joints, between parent and child."""
         return ()
 
     def inertia(self, k: Kinematics, x: State) -> Array:
-        """Mass matrix that it adds beside its force, shape (nv, nv), where `has_inertia`."""
+        """Return the mass matrix that it adds beside its force, shape (nv, nv)."""
         raise NotImplementedError
 
     def doubt(self, x: State) -> str:
-        """Why its force is not to be trusted at a state of all joints; empty where it is."""
+        """Return why its force cannot be trusted at a state of all joints; empty if it can."""
         return ""
 
     def armature(self) -> Array:
-        """Inertia that it adds to the joints [kg·m^2 or kg], shape (nv,) or (1,) of 0."""
+        """Return the inertia added to the joints [kg·m^2 or kg], shape (nv,), or (1,) for none."""
         return np.zeros(1)
 
 
 class Actuator(Load):
-    """Commands -> torques of the joints that it drives; its inputs are the commands.
+    """A load that turns commands into torques of joints; its inputs are the commands.
 
     Attributes:
         joints: Topic names of the driven joints.
         takes: Meaning and unit of a command; empty where it is the torque of the joint.
     """
 
+    is_actuator = True
     gives_work = True
     joints: tuple[str, ...]
     takes: str = ""
 
     def command(self, torque: Array, x: State) -> Array:
-        """Commands that ask for a torque, shape (len(inputs),); here the torque itself.
+        """Return the commands for a torque, shape (len(inputs),); here the torque itself.
 
         Args:
-            torque: Of `joints` [N·m or N], shape (len(joints),). Losses and limits of the actuator
-                are not compensated.
+            torque: Torque of `joints` [N·m or N], shape (len(joints),). Losses and limits of the
+                actuator are not compensated.
+            x: State of all joints.
         """
         return torque
 
     def demanded(self, torque: Array, x: State) -> Array:
-        """Commands that give a torque, losses compensated, shape (len(inputs),).
+        """Return the commands that exert a torque, losses compensated, shape (len(inputs),).
 
-        The force of them is that torque again, unless it is beyond a limit. For recordings: live,
-        noise of the velocity would come back as force.
+        Their force is that torque, unless it exceeds a limit. This serves recordings; in a live
+        loop, noise of the velocity would come back as force.
         """
         return self.command(torque, x)
 
     def limits(self) -> Array:
-        """Largest torque of each of `joints` [N·m or N], shape (len(joints),), inf without."""
+        """Return the largest torque of each of `joints` [N·m or N]; inf without a limit."""
         return np.full(len(self.joints), math.inf)
 
 
 class Measures(IntEnum):
-    """What a measurement depends on besides what stands above it."""
+    """The highest derivative, or force, that a measurement depends on."""
 
     POSITION = 0
     VELOCITY = 1
@@ -276,22 +298,27 @@ class Measures(IntEnum):
 
 
 class Sensor(Part):
-    """What of a mechanism is measured; it has no influence on the motion.
+    """A measurement of a mechanism, without influence on the motion.
 
-    A sensor says what an exact measurement would be, how that changes with the state, and how
-    noisy it is. The same sensors serve a simulator, marker kinematics and estimators.
+    A sensor models the exact measurement, its derivative by the state, and its noise. The same
+    sensors serve a simulator, marker kinematics and estimators.
 
     Attributes:
-        level: What a measurement depends on at most.
-        unit: Of every component.
-        components: Names of the components, one empty word for a single number.
-        label: What recordings and messages call the sensor; its name by default.
-        delay: From a measurement to its message [s]; the message carries the time of the
+        level: Highest derivative, or force, that a measurement depends on.
+        unit: Unit of every component.
+        components: Names of the components; one empty string for a single number.
+        label: Name of the sensor in recordings and messages; its own name by default.
+        delay: Time from a measurement to its message [s]; the message carries the time of the
             measurement.
         is_linear: Whether it is a constant linear function of q and v: `jacobian` and
             `by_position` never change.
         noise_varies: Whether `covariance` depends on the state.
+        point: Point that it is fixed to; None without one.
+        weight: Weight of a marker in fits; 0 for sensors that are no markers.
     """
+
+    point: Point | None = None
+    weight: float = 0.0
 
     level: Measures = Measures.POSITION
     unit: str = ""
@@ -303,45 +330,49 @@ class Sensor(Part):
 
     @property
     def title(self) -> str:
-        """What recordings and messages call it."""
+        """Name in recordings and messages."""
         return self.label or self.name
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """An exact measurement, shape (n,) of as many components.
+        """Return the exact measurement, shape (n,) with n components.
 
         `now` is needed from `Measures.ACCELERATION` on, with reactions for `Measures.FORCE`.
         """
         raise NotImplementedError
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by q, v or a, whichever `level` says, shape (n, nv); not asked for forces.
+        """Return the derivative by q, v or a, as `level` says, shape (n, nv).
 
-        k is refreshed to Jacobians.
+        k is refreshed to Jacobians. Sensors of forces need no derivative.
         """
         raise NotImplementedError
 
     def by_position(self, k: Kinematics, x: State) -> Array | None:
-        """Derivative by a step of q at constant velocity, shape (n, nv), where `level` is higher.
+        """Return the derivative by a step of q at constant velocity, where `level` is higher.
 
-        None by default: who needs it takes differences of `measure`.
+        Returns:
+            Shape (n, nv); None by default, so that callers take differences of `measure`.
         """
         return None
 
     def by_internal(self, nz: int) -> Array | None:
-        """Constant derivative by all internal states, shape (n, nz); None for none."""
+        """Return the constant derivative by all internal states, shape (n, nz); None for 0."""
         return None
 
     def near(self, values: Array, expected: Array) -> Array:
-        """Measured values as near to the expected ones as they can be written; themselves here."""
+        """Return the representation of measured values that is nearest to expected ones.
+
+        Angles and quaternions have several representations; most values have one.
+        """
         return values
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Covariance of the noise [unit^2], shape (n, n); none by default."""
+        """Return the covariance of the noise [unit^2], shape (n, n); 0 by default."""
         return np.zeros((len(self.components), len(self.components)))
 
 
 def reactions_of(sensor: Sensor, now: Now | None) -> Array:
-    """Reactions of all joints, as `Now.reactions`; a ModelError where they are not given."""
+    """Return the reactions of all joints; raise a ModelError where they are unknown."""
     if now is None or now.reactions is None:
         raise ModelError(f"{sensor.name} needs reactions of joints, and none are known")
     return now.reactions
@@ -350,14 +381,17 @@ def reactions_of(sensor: Sensor, now: Now | None) -> Array:
 def specific_force(
     sensor: Sensor, k: Kinematics, point: Point, now: Now | None, gravity: Array
 ) -> Array:
-    """R' (a - g) of a point, in its axes: what an accelerometer feels [m/s^2], shape (3,).
+    """Return R' (a - g) of a point in its axes, the reading of an accelerometer, shape (3,).
 
     Args:
-        sensor: Who asks, for the message.
+        sensor: The sensor, for the message.
         k: Kinematics at the state, refreshed to drifts.
-        point: Where it is.
-        now: Accelerations; a ModelError without them.
-        gravity: In the world [m/s^2], shape (3,).
+        point: Point at which it is mounted.
+        now: Accelerations.
+        gravity: Gravity in the world [m/s^2], shape (3,).
+
+    Raises:
+        ModelError: The accelerations are unknown.
     """
     if now is None:
         raise ModelError(f"{sensor.name} needs accelerations, and none are known")
@@ -367,9 +401,9 @@ def specific_force(
 
 
 class Kind(Enum):
-    """What a quantity is made of: the words for its numbers, empty where it is one.
+    """Kinds of quantities, each with the names of its components; empty for a scalar.
 
-    Wrenches and cones are drawn: what they are made of are numbers of the part already.
+    Wrenches and cones are drawn; their numbers are also outputs of the part.
     """
 
     SCALAR = ("",)
@@ -386,11 +420,11 @@ class Output(NamedTuple):
     Attributes:
         name: Unique in the part, without a dot; columns and messages put the name of the part
             before it.
-        unit: Empty for pure numbers; of a wrench those of force and torque.
-        kind: A number, or how many.
-        frame: In whose axes it stands, empty for scalars and for axes of the world; of a wrench
-            the link on which it acts, itself in axes of the world.
-        at: Where a wrench of `Kind.WRENCH` acts.
+        unit: Unit, empty for pure numbers; for a wrench those of force and torque.
+        kind: Kind of quantity, with its components.
+        frame: Frame in whose axes it is expressed, empty for scalars and for axes of the world;
+            for a wrench, which is in axes of the world, the link on which it acts.
+        at: Point at which a wrench of `Kind.WRENCH` acts.
     """
 
     name: str
@@ -401,19 +435,19 @@ class Output(NamedTuple):
 
     @property
     def is_drawn(self) -> bool:
-        """Whether it has no columns, but an arrow or a cone."""
+        """Whether it is drawn as an arrow or a cone, without columns."""
         return self.kind in (Kind.WRENCH, Kind.PLACED_WRENCH, Kind.FRICTION_CONE)
 
 
 class Now(NamedTuple):
-    """What a part may show of an evaluation.
+    """Results of an evaluation that a part may show.
 
     Attributes:
         a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
-        lam: Multipliers of the own rows of the part, shape (m,).
+        lam: Multipliers of the rows of the part, shape (m,).
         reactions: Wrench of the parent of every joint on its child [N, N·m], about the origin and
             in the axes of the joint on the child, in the order of `Robot.joints`, shape (n, 6);
-            None where nobody asked for them.
+            None where they were not computed.
     """
 
     a: Array
@@ -422,25 +456,25 @@ class Now(NamedTuple):
 
 
 def label(part: Any, quantity: str) -> str:
-    """Quantity of a part as columns, topics and messages call it.
+    """Return the name of a quantity of a part in columns, topics and messages.
 
     Args:
-        part: Has a name, or an empty one where the quantity says it all.
-        quantity: Its name in the part.
+        part: The part, whose name may be empty.
+        quantity: Name of the quantity in the part.
     """
     return f"{part.name}.{quantity}" if part.name else quantity
 
 
 def without_multiplier(label: str) -> str:
-    """Name on topics of joint states, where a coupling goes by its dependent joint."""
+    """Return the name on topics of joint states, where a coupling has that of its joint."""
     return label.removesuffix(".multiplier")
 
 
 class FrictionCone(NamedTuple):
-    """The forces that a contact can exert, as far as its normal force.
+    """Friction cone of a contact up to its present normal force.
 
     Attributes:
-        point: Its tip, in the world less `Robot.origin` [m], shape (3,).
+        point: Tip of the cone, in the world less `Robot.origin` [m], shape (3,).
         normal: The normal force: axis and height, in world axes [N], shape (3,).
         mu: Coefficient of friction: its radius is mu times its height.
     """
@@ -451,11 +485,11 @@ class FrictionCone(NamedTuple):
 
 
 def exerted_on(link: Point, at: Point | None) -> Output:
-    """A wrench on a link.
+    """Return the output of a wrench on a link.
 
     Args:
-        link: Any point of it.
-        at: Where the wrench acts; None where the part says that with every value.
+        link: Any point of the link.
+        at: Point at which the wrench acts; None where every value contains it.
     """
     name = f"on_{link.frame.replace('.', '_')}"
     kind = Kind.PLACED_WRENCH if at is None else Kind.WRENCH
@@ -466,9 +500,10 @@ class Wrench(NamedTuple):
     """Wrench of a constraint on one body.
 
     Attributes:
-        point: Where the force acts, in the world less `Robot.origin` [m], shape (3,).
-        force: In world axes [N], shape (3,).
-        torque: About `point`, in world axes [N·m], shape (3,).
+        frame: Link on which it acts.
+        point: Point of application, in the world less `Robot.origin` [m], shape (3,).
+        force: Force in world axes [N], shape (3,).
+        torque: Torque about `point`, in world axes [N·m], shape (3,).
     """
 
     frame: str
@@ -478,5 +513,5 @@ class Wrench(NamedTuple):
 
     @property
     def numbers(self) -> Array:
-        """Force, then torque, as an output shows them, shape (6,)."""
+        """Force, then torque, shape (6,)."""
         return np.concatenate((self.force, self.torque))

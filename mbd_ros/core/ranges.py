@@ -1,4 +1,4 @@
-"""Numbers that a constructor takes: ranges and units as annotations of its arguments.
+"""Ranges and units of numbers, as annotations of the arguments of constructors.
 
 Ranges are checked where an entry is read or a parameter is set, by the schema: constructors store
 and derive, so that they take symbols as well as numbers. The smallest and the largest number of a
@@ -21,7 +21,9 @@ class Within(NamedTuple):
     """Smallest and largest accepted value.
 
     Attributes:
-        of_size: Whether they hold for the size of a number of either sign.
+        low: Smallest value.
+        high: Largest value.
+        of_size: Whether they bound the absolute value.
     """
 
     low: float
@@ -75,19 +77,19 @@ class Described(NamedTuple):
 
 
 def described(annotation: Any) -> Described:
-    """What an annotation says; of several ranges, units or lengths the outermost one."""
+    """Return the contents of an annotation; the outermost of several ranges, units or lengths."""
     if typing.get_origin(annotation) is not Annotated:
         return Described(annotation)
     kind, *extras = typing.get_args(annotation)
-    found = Described(kind)
+    contents = Described(kind)
     for extra in extras:
         if isinstance(extra, Within):
-            found = found._replace(within=extra)
+            contents = contents._replace(within=extra)
         elif isinstance(extra, Unit):
-            found = found._replace(unit=str(extra))
+            contents = contents._replace(unit=str(extra))
         elif isinstance(extra, Length):
-            found = found._replace(length=int(extra))
-    return found
+            contents = contents._replace(length=int(extra))
+    return contents
 
 
 def is_value(number: Any, value: float) -> bool:
@@ -96,12 +98,12 @@ def is_value(number: Any, value: float) -> bool:
 
 
 def refuse_dt(dt: float, where: str, kind: type[MbdError]) -> None:
-    """Refuse a step, and interval of the output, that stamps cannot tell apart.
+    """Refuse a step, and interval of the output, that time stamps cannot resolve.
 
     Args:
-        dt: [s].
+        dt: Step [s].
         where: File and key, or option.
-        kind: The error to raise.
+        kind: Class of the error.
     """
     if not 0 < dt < math.inf:
         raise kind(f"{where}: {dt:g} s must be finite and > 0")

@@ -1,4 +1,4 @@
-"""Values that flow between parts and methods: states, motions, and what steppers remember."""
+"""Values that flow between parts and methods: states, evaluations, motions, checkpoints."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
 Mode = tuple[int, ...]
-Memory = dict[str, Any]  # what is remembered from step to step, to be kept and pickled
+Memory = dict[str, Any]  # checkpoint of a stepper: values that may be stored and pickled
 NONE: Array = np.zeros(0)
 NONE.setflags(write=False)
 
 
 class State(NamedTuple):
-    """All that the future depends on, at one time.
+    """State at one time, on which alone the future motion depends.
 
     Attributes:
         t: Time [s].
         q: Configuration [m, rad], shape (nq,).
         v: Velocity [m/s, rad/s], shape (nv,).
-        z: Internal states of parts, in units of their own, shape (nz,).
-        mode: Whole numbers that say which of several smooth motions goes on: the phase, the side
-            of a surface, stick or slip.
+        z: Internal states of parts, in their own units, shape (nz,).
+        mode: Integers that select one of several smooth motions: the phase, the side of a surface,
+            stick or slip.
     """
 
     t: float
@@ -34,15 +34,16 @@ class State(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """What the equations of motion say at one state.
+    """Result of the equations of motion at one state.
 
     Attributes:
         x: State of all joints.
         a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
         zdot: Rates of the internal states, shape (nz,).
         lam: Multipliers, one a row of `System.multiplier_rows`, shape (m,).
-        respond: Forces on all joints, shape (nv, k), -> the accelerations that they add, same
-            shape, constraints kept. A SolveError after the next evaluation of the system.
+        respond: Function from forces on all joints, shape (nv, k), to the accelerations that they
+            add while the constraints hold, same shape. It raises a SolveError after the next
+            evaluation of the system.
     """
 
     x: State
@@ -56,9 +57,9 @@ class BodyMotion(NamedTuple):
     """Sampled motion of a free body, one row a sample.
 
     Attributes:
-        name: Of the body.
-        pose: Place in the world [m], then quaternion (x, y, z, w), shape (n, 7); a quaternion has
-            the sign of the one before.
+        name: Name of the body.
+        pose: Position in the world [m], then quaternion (x, y, z, w), shape (n, 7); the signs of
+            successive quaternions agree.
         twist: Velocity [m/s], then angular velocity [rad/s], in axes of the body, shape (n, 6);
             NaN where it was not measured; None without any.
         acceleration: Derivative of the twist, same shape, or None.
@@ -76,12 +77,13 @@ class Motion(NamedTuple):
     Attributes:
         names: Joint names, one a column.
         stamps: Sample times [ns], strictly increasing, shape (n,), int64.
-        position: [rad or m], shape (n, len(names)).
-        velocity: [rad/s or m/s], same shape; NaN where it was not measured; None without any.
-        acceleration: [rad/s^2 or m/s^2], same shape, or None.
+        position: Joint positions [rad or m], shape (n, len(names)).
+        velocity: Joint velocities [rad/s or m/s], same shape; NaN where not measured; None without
+            any.
+        acceleration: Joint accelerations [rad/s^2 or m/s^2], same shape, or None.
         effort: Measured effort [N·m or N], same shape, NaN where not measured; None without any.
-        command: What actuators take, same shape, NaN where there is none; None without any.
-        bodies: Motion of the free bodies.
+        command: Commands of actuators, same shape, NaN where there is none; None without any.
+        bodies: Motions of the free bodies.
     """
 
     names: tuple[str, ...]
@@ -99,8 +101,8 @@ class WrenchSamples(NamedTuple):
 
     Attributes:
         stamps: Sample times [ns], strictly increasing, shape (n,), int64.
-        wrench: Force [N] then torque [N·m] about the declared point, shape (n, 6).
-        frame_id: Frame that the messages name; empty where they name none.
+        wrench: Force [N], then torque [N·m] about the declared point, shape (n, 6).
+        frame_id: Frame of the messages; empty where they name none.
     """
 
     stamps: NDArray[np.int64]
@@ -109,7 +111,7 @@ class WrenchSamples(NamedTuple):
 
 
 def copied(value: Any) -> Any:
-    """A value with arrays of its own, in tuples too."""
+    """Return a copy of a value, with the arrays inside tuples copied, too."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, State):
@@ -120,12 +122,15 @@ def copied(value: Any) -> Any:
 
 
 def _like(value: Any) -> Any:
-    """What makes a tuple, or a named one, of the same kind."""
+    """Return the constructor of a tuple, or of a named tuple, from an iterable."""
     return getattr(type(value), "_make", tuple)
 
 
 def recognised(value: Any, x: State) -> Any:
-    """The value; x itself in place of a state with the same bits, as steppers look for it."""
+    """Return the value with x itself in place of a state of the same bits.
+
+    Steppers recognise the state of their last step by identity.
+    """
     if isinstance(value, State):
         return x if is_same(value, x) else value
     if isinstance(value, tuple):
@@ -133,16 +138,19 @@ def recognised(value: Any, x: State) -> Any:
     return value
 
 
-def is_same(one: State, other: State) -> bool:
+def is_same(x: State, y: State) -> bool:
     """Whether two states have the same bits."""
-    arrays = zip(one[1:4], other[1:4], strict=True)
-    return (
-        one.t == other.t
-        and one.mode == other.mode
-        and all(a.tobytes() == b.tobytes() for a, b in arrays)
-    )
+    arrays = zip(x[1:4], y[1:4], strict=True)
+    return x.t == y.t and x.mode == y.mode and all(have_same_bits(a, b) for a, b in arrays)
+
+
+def have_same_bits(a: Array | None, b: Array | None) -> bool:
+    """Whether two arrays are equal, or both None; NaN equals NaN, and 0 does not equal -0."""
+    if a is None or b is None or a is b:
+        return a is b
+    return a.tobytes() == b.tobytes()
 
 
 def is_symbol(value: object) -> bool:
-    """Whether a number is an expression, as in a system that is traced."""
+    """Whether a number is a symbolic expression, as in a system that is traced."""
     return hasattr(value, "piecewise")

@@ -1,4 +1,4 @@
-"""What counts as zero, as dependent or as a toggle: one number for each question.
+"""Thresholds for zero, for dependent rows and for toggles: one number for each question.
 
 Every threshold names what it is relative to and why it has its size. The module stands before
 all subjects of the core, since `rows` and `optimization` need it alike. Limits of iterations and
@@ -59,7 +59,7 @@ SAME_TIME = 1.0e-9  # Of a step: two times that are meant to be the same, after 
 
 
 def redundant(n: int) -> float:
-    """What rounding leaves of a zero eigenvalue of an n x n product, relative to the largest.
+    """Return the rounding error of a zero eigenvalue of an n x n product, relative to the largest.
 
     Rounding grows with the sums in a product; small ones count as ten rows.
     """

@@ -38,7 +38,7 @@ def check_source(path: Path) -> BagFiles:
 
 
 class BagFiles(NamedTuple):
-    """What a bag consists of.
+    """The files of a bag.
 
     Attributes:
         storage: Files with messages.
@@ -131,12 +131,12 @@ def by_member(joints: Sequence[str], members: Collection[str]) -> dict[str, dict
         joints: Names in the scene, such as `left/elbow`.
         members: Names of the robots and bodies among those of the scene.
     """
-    found: dict[str, dict[str, str]] = {}
+    joints_of: dict[str, dict[str, str]] = {}
     for joint in joints:
         member, _, own = joint.partition("/")
         pair = (member, own) if member in members else ("", joint)
-        found.setdefault(pair[0], {})[pair[1]] = joint
-    return found
+        joints_of.setdefault(pair[0], {})[pair[1]] = joint
+    return joints_of
 
 
 def joint_state_topic(member: str) -> str:

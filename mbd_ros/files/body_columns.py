@@ -38,7 +38,7 @@ def motion_columns(motion: BodyMotion, frame: str) -> list[Column]:
 
 
 def residual_columns(body: str, frame: str, wrench: Array) -> list[Column]:
-    """What nothing carries of a body: force and moment on it, in its axes.
+    """Return the columns of the residual force and moment on a body, in its axes.
 
     Args:
         frame: Link in whose axes it stands.

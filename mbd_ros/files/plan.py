@@ -20,7 +20,7 @@ def plan_table(plan: TrackingPlan) -> Table:
 
 
 def plan_words(plan: TrackingPlan) -> dict[str, object]:
-    """What metadata say of a plan: names in the order of its arrays, and the tube."""
+    """Return the metadata of a plan: names in the order of its arrays, and the tube."""
     return {"joints": list(plan.joints), "inputs": list(plan.inputs), "level": plan.level}
 
 

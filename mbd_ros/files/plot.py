@@ -122,19 +122,19 @@ def save(picture: Figure, path: Path) -> None:
         picture.savefig(file, format=path.suffix[1:], dpi=_DPI, metadata=dated)
 
 
-def _panels(table: Table, asked: Sequence[str] | None) -> dict[str, list[Column]]:
+def _panels(table: Table, wanted: Sequence[str] | None) -> dict[str, list[Column]]:
     """Label of the axis -> columns, by quantity and unit."""
     numbers = [
         c for c in table.columns if c.name not in (TIME, STAMP) and c.values.dtype.kind in "fiub"
     ]
-    if asked is not None:
+    if wanted is not None:
         chosen = []
-        for name in asked:
-            found = [c for c in numbers if name in (c.name, *_words(c)[1:])]
-            if not found:
+        for name in wanted:
+            matching = [c for c in numbers if name in (c.name, *_words(c)[1:])]
+            if not matching:
                 table.column(name)  # says which there are
                 raise DataError(f"column {name} holds no numbers to draw")
-            chosen += found
+            chosen += matching
     else:
         chosen = [c for c in numbers if not {*c.name.split(".")} & {*_LATER}] or numbers
     panels: dict[str, list[Column]] = {}

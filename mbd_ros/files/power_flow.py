@@ -106,12 +106,12 @@ def _beyond(table: Table, segment: str, before: dict[str, str]) -> list[Lane]:
     """Bands of all that a segment carries."""
     lanes: list[Lane] = []
     for following in [name for name, parent in before.items() if parent == segment]:
-        given = -table[f"{segment}{_GIVEN}{following}"]
+        passed_on = -table[f"{segment}{_GIVEN}{following}"]
         taken = table[following + _TAKEN]
         flow = _OUTWARDS, _INWARDS
         lanes += [
-            Lane(f"{segment} to the joint of {following}", given, flow, segment),
-            Lane(f"joint of {following}", taken - given, (_MADE, _LOST), ""),
+            Lane(f"{segment} to the joint of {following}", passed_on, flow, segment),
+            Lane(f"joint of {following}", taken - passed_on, (_MADE, _LOST), ""),
             Lane(f"into {following}", taken, flow, following),
         ]
         lanes += _beyond(table, following, before)

@@ -280,7 +280,7 @@ def read_result(path: str | Path, **options: Any) -> Result:
 
 
 class Format(Protocol):
-    """What reads and writes the files of one suffix; `formats` lists them.
+    """Reader and writer of the files of one suffix; `formats` lists them.
 
     Attributes:
         content: What a column may be, for people: `one number a row`.
@@ -357,9 +357,9 @@ def motion_stamps(table: Table, where: str) -> NDArray[np.int64]:
     return stamps
 
 
-def _same(one: Column, other: Column) -> bool:
-    a, b = one.values, other.values
-    alike = one[0] == other[0] and one[2:] == other[2:] and a.dtype.kind == b.dtype.kind
+def _same(column: Column, other: Column) -> bool:
+    a, b = column.values, other.values
+    alike = column[0] == other[0] and column[2:] == other[2:] and a.dtype.kind == b.dtype.kind
     return alike and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
 
 

@@ -1,4 +1,4 @@
-"""Words that several commands understand, and the file of an error."""
+"""Arguments that several commands share, and the file that an error names."""
 
 import argparse
 from collections.abc import Iterator
@@ -8,33 +8,37 @@ from pathlib import Path
 from mbd_ros.errors import MbdError, printable
 from mbd_ros.scene.schema.locate import scene_word
 
-_ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
+_ALLOW_CODE = (
+    "Import the code that a scene names as package.module:Class; `mbd-ros check` lists it."
+)
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """The scene of a command, and the permission to import the code that it names."""
+    """Declare the scene, and the permission to import the code that it names."""
     parser.add_argument(
-        "scene", type=scene_word, help="file, or name of an embedded scene (`mbd-ros scenes`)"
+        "scene",
+        type=scene_word,
+        help="Scene file, or name of an embedded scene (`mbd-ros scenes` lists them).",
     )
     add_allow_code(parser)
 
 
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
-    """The permission to import the code that scenes name; the program acts on it."""
+    """Declare the permission to import the code that scenes name; `cli` evaluates it."""
     parser.add_argument("--allow-code", action="store_true", help=_ALLOW_CODE)
 
 
 def names_scenes(argument: argparse.Action) -> bool:
-    """Whether the words of an argument are scenes, of which there are embedded ones."""
+    """Return whether an argument takes scenes, of which some are embedded."""
     return argument.dest in ("scene", "scenes")
 
 
 @contextmanager
 def about(source: Path | str) -> Iterator[None]:
-    """Add the file or option to errors of the core.
+    """Put the name of a file or option in front of the errors that are raised inside.
 
     Args:
-        source: File or option; errors that name it already pass as they are.
+        source: File or option. Errors that name it already remain as they are.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""Which DDS domain a group of processes may have for itself on this machine."""
+"""A DDS domain that a group of processes has to itself on this machine."""
 
 import itertools
 import os
@@ -22,11 +22,11 @@ class NoDomainError(MbdError):
 
 @contextmanager
 def claimed_domain() -> Iterator[int]:
-    """A DDS domain id that nobody else claims, and where nobody is, for a `with` block.
+    """Claim a DDS domain that is empty, for the length of a `with` block, and yield its id.
 
     The claim is a bound socket: it holds for every user and container that shares the network of
-    this machine, tools of ROS 2 respect it, and a process that crashes gives it back. Who joins a
-    domain without a claim is found by the ports that it has bound.
+    this machine, tools of ROS 2 respect it, and it ends with the process. A program that joins a
+    domain without a claim is detected by the ports that it has bound.
 
     Raises:
         NoDomainError: All domains are taken.
@@ -36,7 +36,7 @@ def claimed_domain() -> Iterator[int]:
     for i in range(len(DOMAINS)):
         domain = DOMAINS[(first + i) % len(DOMAINS)]
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as claim:
-            if _is_bound(claim, _CLAIM_PORT + domain) and _is_empty(domain):
+            if _bind(claim, _CLAIM_PORT + domain) and _is_empty(domain):
                 yield domain
                 return
     raise NoDomainError(
@@ -46,19 +46,19 @@ def claimed_domain() -> Iterator[int]:
 
 
 def _is_empty(domain: int) -> bool:
-    """Whether no participant is in a domain: each has bound one of its even ports."""
+    """Return whether a domain has no participant; each would have bound one of its even ports."""
     begin = _DDS_PORT + _PORTS * domain
     for port in range(begin, begin + _PORTS, 2):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            if not _is_bound(probe, port):
+            if not _bind(probe, port):
                 return False
     return True
 
 
-def _is_bound(own: socket.socket, port: int) -> bool:
-    """Whether a socket could be bound to a port, on all interfaces."""
+def _bind(endpoint: socket.socket, port: int) -> bool:
+    """Bind a socket to a port on all interfaces, and return whether that was possible."""
     try:
-        own.bind(("", port))
+        endpoint.bind(("", port))
     except OSError:
         return False
     return True

@@ -1,4 +1,4 @@
-"""A DDS domain for this process and those that it starts."""
+"""A DDS domain for this process and the processes that it starts."""
 
 import os
 import signal
@@ -16,8 +16,8 @@ class IsolatedDomain(NamedTuple):
     """A domain that this process has joined.
 
     Attributes:
-        environment: Of processes that join it, too.
-        check: Raises KeyboardInterrupt after Ctrl-C or SIGTERM; to be called often.
+        environment: Environment for processes that shall join the domain.
+        check: Raises KeyboardInterrupt after Ctrl-C or SIGTERM. Call it often.
     """
 
     environment: dict[str, str]

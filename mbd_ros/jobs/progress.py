@@ -14,17 +14,17 @@ T = TypeVar("T")
 Watch = bool | Callable[[str, float], None]
 PERIOD = 0.2  # s
 _WATCH: ContextVar[Watch] = ContextVar("watch", default=True)
-Say = Callable[[str], None]  # what is told such lines
+Say = Callable[[str], None]  # takes a line for people
 
 
 def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
-    """Pass items on and keep one line with a percentage on stderr, if that is a terminal."""
+    """Yield the items and show the share that is done on stderr, if that is a terminal."""
     most = max(total, 1)
     return progress_of(((done / most, item) for done, item in enumerate(iterable)), label)
 
 
 def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
-    """As `progress`, of items that come with the share that is done before them."""
+    """Yield items that come with the share that is done before them, and show that share."""
     with share_watch(label) as tell:
         for share, item in pairs:
             tell(share)
@@ -33,18 +33,18 @@ def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
 
 @contextmanager
 def share_watch(label: str) -> Iterator[Callable[[float], None]]:
-    """A function that is told the share that is done, for work that is no loop over items."""
+    """Yield a function that shows the share that is done, for work that is no loop over items."""
     watch, due = _watch(), 0.0
     tell = _write if watch is True else watch
 
-    def told(share: float) -> None:
+    def show(share: float) -> None:
         nonlocal due
         if tell is not False and time.monotonic() >= due:
             due = time.monotonic() + PERIOD
             tell(label, min(share, 1.0))
 
     try:
-        yield told
+        yield show
     finally:
         if watch is True:
             sys.stderr.write("\r\x1b[K")  # erase the line
@@ -52,7 +52,7 @@ def share_watch(label: str) -> Iterator[Callable[[float], None]]:
 
 
 def _watch() -> Watch:
-    """Who listens; workers leave the terminal to the process that started them."""
+    """Return the listener; worker processes leave the terminal to their parent."""
     watch = _WATCH.get()
     if watch is True and (not sys.stderr.isatty() or parent_process() is not None):
         return False
@@ -69,8 +69,8 @@ def watching(watch: Watch) -> Iterator[None]:
     """Choose the listener of `progress` within the block.
 
     Args:
-        watch: True: a terminal. False: nobody. Else a function of a label and the share that is
-            done, called at most every `PERIOD` seconds.
+        watch: True for a terminal, False for none, or a function of a label and the share that is
+            done, which is called at most every `PERIOD` seconds.
     """
     before = _WATCH.set(watch)
     try:
@@ -80,19 +80,19 @@ def watching(watch: Watch) -> Iterator[None]:
 
 
 def announce(line: str) -> None:
-    """Say on a terminal what takes time from now on, unless somebody else listens."""
+    """Write on a terminal what the program is about to do, unless somebody else listens."""
     if _watch() is True:
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
 
 
 def say(line: str) -> None:
-    """Write a line to the output at once; names in it come from files of others."""
+    """Write a line to stdout at once, with unprintable characters of foreign names escaped."""
     sys.stdout.write(f"{printable(line)}\n")
     sys.stdout.flush()
 
 
 def say_all(lines: Iterable[str]) -> None:
-    """Write lines as they come."""
+    """Write lines to stdout as they come."""
     for line in lines:
         say(line)

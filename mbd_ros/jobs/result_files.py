@@ -1,4 +1,4 @@
-"""Tables of a result in one file, or side by side where a format holds one a file."""
+"""Tables of a result in one file, or in several where a format holds one table each."""
 
 from pathlib import Path
 
@@ -8,13 +8,13 @@ from mbd_ros.jobs.progress import Say
 
 
 def write_tables(result: Result, out: Path, say: Say) -> None:
-    """Write all tables, `samples` first and to the given place.
+    """Write all tables, and `samples` to the given path.
 
-    Tables beside `samples` that the format cannot hold, since they have words, are left out.
+    A format that holds numbers only leaves out tables with text, except `samples`.
 
     Args:
-        out: Its suffix chooses the format.
-        say: Is told what went where, a line a file.
+        out: Path whose suffix chooses the format.
+        say: Called with one line for each file.
     """
     chosen = format_of(out)
     if not chosen.one_table:
@@ -24,13 +24,13 @@ def write_tables(result: Result, out: Path, say: Say) -> None:
     for name, table in sorted(result.tables.items(), key=lambda pair: pair[0] != MAIN):
         place = out if name == MAIN else beside(out, name)
         if name != MAIN and not all(map(chosen.holds, table.columns)):
-            say(f"{name} is left out, a file holds {chosen.content}; .npz holds all tables")
+            say(f"table {name} is left out, {suffix_of(out)} holds {chosen.content}; use .npz")
             continue
         Result({MAIN: table}, result.metadata).to(place)
         say(f"{name}, {table.rows} rows -> {place}")
 
 
 def beside(out: Path, table: str) -> Path:
-    """Where a table goes whose format holds one a file: o.csv.gz -> o.gaits.csv.gz."""
+    """Return the path of a table beside the main one: o.csv.gz -> o.gaits.csv.gz."""
     suffix = suffix_of(out)
     return out.with_name(f"{out.name.removesuffix(suffix)}.{table}{suffix}")

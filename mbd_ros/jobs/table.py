@@ -1,4 +1,4 @@
-"""The commands of `mbd-ros`, a line each; the options of a command stand in its module only.
+"""The table of the commands of `mbd-ros`; the options of a command stand in its module only.
 
 The module of a command has two functions: `add_arguments(parser)` declares its options, and
 `run(arguments) -> int` runs it and returns the exit code of the program.
@@ -25,8 +25,8 @@ class Command(NamedTuple):
     """A line of `COMMANDS`.
 
     Attributes:
-        module: Imported when the command is asked for.
-        text: What it does, for the help of the program.
+        module: Module of the command, which is imported when the command runs.
+        text: Description for the help of the program.
     """
 
     module: str
@@ -37,118 +37,132 @@ class CommandModule(Protocol):
     """Contract of the module of a command."""
 
     def add_arguments(self, parser: "argparse.ArgumentParser") -> None:
-        """Declare the options."""
+        """Declare the arguments of the command."""
 
     def run(self, arguments: "argparse.Namespace") -> int:
-        """Do what the options say; the exit code."""
+        """Run the command and return the exit code."""
 
 
 COMMANDS: Mapping[str, Command] = {
-    "check": Command("mbd_ros.features.tools.check", "what a scene builds, leaves out and costs"),
-    "scenes": Command("mbd_ros.features.tools.scenes", "the embedded scenes, with a line each"),
+    "check": Command(
+        "mbd_ros.features.tools.check",
+        "Report the parts that a scene builds, and the cost of a step.",
+    ),
+    "scenes": Command("mbd_ros.features.tools.scenes", "List the scenes of this package."),
     "inverse": Command(
-        "mbd_ros.features.inverse_dynamics.command", "torques and coupling forces of a motion"
+        "mbd_ros.features.inverse_dynamics.command",
+        "Compute the joint torques and constraint forces of recorded motions.",
     ),
     "simulate": Command(
-        "mbd_ros.features.simulation.command", "motion from forces, with constraint forces"
+        "mbd_ros.features.simulation.command",
+        "Simulate a scene: its motion, constraint forces and energy.",
     ),
     "scale": Command(
-        "mbd_ros.features.markers.scale.command", "a scene of a person's size, from a static trial"
+        "mbd_ros.features.markers.scale.command", "Scale a scene to a person, from a static trial."
     ),
     "kinematics": Command(
-        "mbd_ros.features.markers.command", "motion of all joints from recorded markers"
+        "mbd_ros.features.markers.command",
+        "Compute the motion of all joints from recorded markers.",
     ),
     "loads": Command(
-        "mbd_ros.features.loads.command", "loads on one body of a motion, for finite elements"
+        "mbd_ros.features.loads.command",
+        "Compute the loads on one body of a motion, also for finite elements.",
     ),
     "moment-arms": Command(
         "mbd_ros.features.muscles.moment_arms.command",
-        "lengths, speeds and moment arms of paths in a motion",
+        "Compute lengths, speeds and moment arms of paths in a motion.",
     ),
     "muscles": Command(
-        "mbd_ros.features.muscles.command", "forces of muscles and loads of joints of a motion"
+        "mbd_ros.features.muscles.command",
+        "Compute muscle forces and joint loads of recorded motions.",
     ),
     "identify": Command(
         "mbd_ros.features.identification.command",
-        "inertias and friction from motion and measured efforts",
+        "Identify inertias and friction from motions and measured efforts.",
     ),
     "learn": Command(
         "mbd_ros.features.identification.learn.command",
-        "a network for what physics leaves of measured torques",
+        "Train a network on the torques that the equations of motion do not explain.",
     ),
     "estimate": Command(
         "mbd_ros.features.estimation.command",
-        "motion of all joints from noisy and partial recordings",
+        "Estimate the motion of all joints from noisy and partial recordings.",
     ),
     "excite": Command(
         "mbd_ros.features.identification.excite.command",
-        "a trajectory that shows masses, within all limits",
+        "Find a trajectory within all limits that makes inertias identifiable.",
     ),
     "payload": Command(
         "mbd_ros.features.identification.payload.command",
-        "mass, centre and inertia of what a gripper holds",
+        "Identify mass, centre and inertia of what a gripper holds.",
     ),
     "gait": Command(
         "mbd_ros.features.gait.command",
-        "periodic walking: multipliers, branches, basin of attraction",
+        "Find periodic gaits: their multipliers, branches and basin of attraction.",
     ),
     "follow": Command(
         "mbd_ros.features.control.command",
-        "gains that lead a robot back to a motion, and how far off",
+        "Compute the feedback gains that hold a robot on a motion.",
     ),
     "predict": Command(
-        "mbd_ros.features.prediction.command", "the motion that costs least, by optimal control"
+        "mbd_ros.features.prediction.command",
+        "Compute the motion of least cost by optimal control.",
     ),
     "bracket": Command(
         "mbd_ros.features.dirac_brackets.command",
-        "Dirac brackets of coordinates and momenta on the rows",
+        "Compute the Dirac brackets of coordinates and momenta.",
     ),
     "sample": Command(
         "mbd_ros.features.sampling.command",
-        "configurations at a temperature; mean forces along them",
+        "Sample configurations at a temperature, and mean forces along a coordinate.",
     ),
     "replay": Command(
-        "mbd_ros.features.replay.command", "a bag through the live node, with an error table"
+        "mbd_ros.features.replay.command",
+        "Play a bag through the live node, and compare its torques.",
     ),
     "import-opensim": Command(
-        "mbd_ros.features.model_import.command", "a model of OpenSim as a URDF and a scene"
+        "mbd_ros.features.model_import.command",
+        "Convert a model of OpenSim to a URDF and a scene.",
     ),
     "import-mjcf": Command(
-        "mbd_ros.features.model_import.command", "a model of MuJoCo as a URDF and a scene"
+        "mbd_ros.features.model_import.command", "Convert a model of MuJoCo to a URDF and a scene."
     ),
-    "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
-    "plot": Command("mbd_ros.features.tools.plot", "a picture of a result"),
-    "view": Command("mbd_ros.view.command", "a scene and its motion in a browser"),
+    "params": Command("mbd_ros.nodes.command", "Print a parameter file of a node, with comments."),
+    "plot": Command("mbd_ros.features.tools.plot", "Draw a picture of a result."),
+    "view": Command("mbd_ros.view.command", "Show a scene and its motion in a browser."),
     "demo": Command(
-        "mbd_ros.applications.demo.command", "a simulated robot, controlled over topics: one page"
+        "mbd_ros.applications.demo.command",
+        "Simulate a robot that is controlled over topics, and report on one page.",
     ),
     "report": Command(
         "mbd_ros.applications.report.command",
-        "error against run time, stability and cost, on one page",
+        "Measure error against run time, stability and cost, and report on one page.",
     ),
     "completion": Command(
-        "mbd_ros.features.tools.completion", "a script that completes words in a shell"
+        "mbd_ros.features.tools.completion",
+        "Print a script that completes the command line in a shell.",
     ),
 }
 
 
 def command_module(name: str) -> CommandModule:
-    """Import a command.
+    """Import the module of a command.
 
     Args:
-        name: A line of `COMMANDS`, or else a command that an installed package adds as an entry
-            point of the group `mbd_ros.commands`; these are looked up for names that are not in
-            the table, and for no others.
+        name: Name in `COMMANDS`, or name of a command that an installed package adds as an entry
+            point of the group `mbd_ros.commands`. Entry points are searched only for names that
+            are not in the table.
 
     Raises:
-        CommandError: There is none, with the nearest and all that there are; or the module
-            cannot be imported, or lacks a function.
+        CommandError: There is no such command (the message lists all commands, the nearest
+            spelling first), its module cannot be imported, or the module has no function
+            `add_arguments` or `run`.
     """
     if name in COMMANDS:
         return import_module(COMMANDS[name].module)
     points = added_commands()
     if name not in points:
-        from mbd_ros.scene.schema.nearest import nearest  # here, since they serve errors only
+        from mbd_ros.scene.schema.nearest import nearest  # here, since only errors need them
         from mbd_ros.scene.schema.renamed import renamed
 
         close = nearest(name, [*COMMANDS, *points], 1)
@@ -167,7 +181,7 @@ def command_module(name: str) -> CommandModule:
 
 
 def added_commands() -> "dict[str, EntryPoint]":
-    """The commands of other packages, by name."""
+    """Return the commands of other packages, by name."""
     from importlib.metadata import entry_points  # takes longer than all else here
 
     return {point.name: point for point in sorted(entry_points(group=GROUP))}

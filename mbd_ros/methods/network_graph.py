@@ -1,10 +1,9 @@
-"""What the graph of a learned network may hold: plain operators on numbers of its own file.
+"""Check of the graph of a learned network: plain operators on numbers in the same file.
 
-An ONNX file may hold loops, functions, operators of other domains, and numbers that stand in
-other files. Networks of `mbd-ros learn` need none of them, so they are refused before anything is
-loaded.
+An ONNX file can contain loops, functions, operators of other domains, and numbers in other files.
+Networks of `mbd-ros learn` need none of these, so such files are rejected before they are loaded.
 
-Source: onnx.proto3 of ONNX 1.17, whose numbers of fields stand here; the encoding of protobuf.
+Source: onnx.proto3 of ONNX 1.17, whose field numbers are used here; the encoding of protobuf.
 """
 
 from collections.abc import Iterator
@@ -20,33 +19,36 @@ OPERATORS = frozenset(
 _GRAPH, _FUNCTION = 7, 25  # fields of a model
 _NODE, _TENSOR, _SPARSE = 1, 5, 15  # of a graph
 _OPERATOR, _DOMAIN = 4, 7  # of a node
-_ELSEWHERE = (13, 14)  # of a tensor: where its numbers stand, when not in it
-_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # ways of encoding
+_ELSEWHERE = (13, 14)  # of a tensor: location of numbers outside of it
+_VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # wire types
 _LONGEST = 10  # bytes of a varint
 
 
 def check_graph(name: str, content: bytes) -> None:
-    """Refuse a graph with anything but plain operators and numbers.
+    """Check that a graph contains only plain operators and numbers.
 
     Args:
-        name: Of the file, for the messages.
+        name: Name of the file for messages.
+        content: Bytes of the file.
 
     Raises:
-        ModelError: Names file, what is there and what is accepted.
+        ModelError: It contains something else; the message names it.
     """
     try:
         for field, graph in _fields(content):
             if field == _FUNCTION:
-                raise ModelError(f"{name}: has functions of its own, accepted are operators")
+                raise ModelError(
+                    f"{name} has functions of its own, but only operators are accepted"
+                )
             for inner, value in _fields(graph) if field == _GRAPH else ():
                 if inner == _NODE:
                     _check_node(name, value)
                 elif inner == _SPARSE or (
                     inner == _TENSOR and any(number in _ELSEWHERE for number, _ in _fields(value))
                 ):
-                    raise ModelError(f"{name}: has numbers that are sparse or in another file")
+                    raise ModelError(f"{name} has numbers that are sparse or in another file")
     except (IndexError, ValueError) as error:
-        raise ModelError(f"{name}: is no network of ONNX: {error}") from error
+        raise ModelError(f"{name} is not a network in ONNX format: {error}") from error
 
 
 def _check_node(name: str, node: bytes) -> None:
@@ -54,39 +56,39 @@ def _check_node(name: str, node: bytes) -> None:
     operator, domain = texts.get(_OPERATOR, ""), texts.get(_DOMAIN, "")
     if operator not in OPERATORS or domain:
         raise ModelError(
-            f"{name}: the network cannot be asked: operator '{operator}'"
+            f"{name}: the network cannot be evaluated: operator '{operator}'"
             f"{f' of {domain}' if domain else ''}, accepted: {', '.join(sorted(OPERATORS))}"
         )
 
 
 def _fields(message: bytes) -> Iterator[tuple[int, bytes]]:
-    """Fields of a message in their order: number and bytes, which are empty of plain numbers.
+    """Yield number and bytes of the fields of a message; plain numbers yield no bytes.
 
     Raises:
-        ValueError: The message is cut, or in another encoding.
-        IndexError: It ends within a number.
+        ValueError: The message is truncated, or has another encoding.
+        IndexError: The message ends within a number.
     """
     at = 0
     while at < len(message):
         key, at = _varint(message, at)
         size = 0
-        way = key & 7
-        if way == _VARINT:
+        wire_type = key & 7
+        if wire_type == _VARINT:
             _, at = _varint(message, at)
-        elif way in (_EIGHT, _FOUR):
-            at += 8 if way == _EIGHT else 4
-        elif way == _BYTES:
+        elif wire_type in (_EIGHT, _FOUR):
+            at += 8 if wire_type == _EIGHT else 4
+        elif wire_type == _BYTES:
             size, at = _varint(message, at)
         else:
-            raise ValueError(f"a field is encoded as {way}")
+            raise ValueError(f"a field has wire type {wire_type}")
         if at + size > len(message):
-            raise ValueError("it is cut")
+            raise ValueError("it is truncated")
         yield key >> 3, message[at : at + size]
         at += size
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, the lowest first, and where it ends."""
+    """Decode a number of seven bits a byte, lowest first, and return it with its end."""
     number = 0
     for i in range(_LONGEST):
         byte = message[at + i]

@@ -1,4 +1,4 @@
-"""Several recorded motions of one command: a process and a result each."""
+"""Process several recorded motions with one command, in parallel, with one result each."""
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +19,7 @@ Outcome = tuple[list[str], str]
 
 
 class Batch(NamedTuple):
-    """Motions, and what each of them is solved with.
+    """Motions, and the options that are common to all of them.
 
     Attributes:
         motions: Tables and bags.
@@ -58,10 +58,10 @@ Work = Callable[[Batch, Say], None]
 
 
 def batch_of(arguments: argparse.Namespace, options: Mapping[str, Any]) -> Batch:
-    """The batch that the command line asks for."""
+    """Return the batch of a command line."""
     shared = (name for name in Batch._fields if name not in ("motions", "options"))
-    words = {name: getattr(arguments, name) for name in shared}
-    return Batch(arguments.motion, options, **words)
+    fields = {name: getattr(arguments, name) for name in shared}
+    return Batch(arguments.motion, options, **fields)
 
 
 def do_batch(
@@ -71,21 +71,22 @@ def do_batch(
     say: Say,
     check: Callable[[], None] = lambda: None,
 ) -> None:
-    """Do one motion here, several in workers, each into a file or folder of its own name.
+    """Process one motion in this process, or several motions in worker processes.
 
     Args:
-        work: Does one of them.
-        worker: `do_one` with this `work`, by a name that a worker can import.
-        say: Is told the lines of the only motion, or the summary of every motion as they end.
-        check: Refuses what several motions share and none can use, once their places are known.
+        batch: The motions and options.
+        work: Function that processes one motion.
+        worker: `do_one` with this `work`, a function that a worker can import.
+        say: Function that prints the remarks of one motion, or a summary of each of several.
+        check: Function that refuses unusable common options before any motion is processed.
 
     Raises:
-        DataError: Motions that failed, by name, when the others are done; before any is done
-            names that would meet in the folder, or a folder that cannot be.
+        DataError: Some motions failed; the message names them. Or two results would have the same
+            name, or the folder cannot be made; then no motion is processed.
     """
     if len(batch.motions) == 1:
         if batch.scheduler is not None or batch.workers is not None:
-            raise DataError("--scheduler and --workers go with several motions")
+            raise DataError("--scheduler and --workers are accepted for several motions only")
         work(batch, say)
         return
     call = f"{worker.__module__}:{worker.__name__}"
@@ -102,12 +103,12 @@ def do_batch(
             else:
                 say(f"{task.name}: {'; '.join(lines)}")
     if failed:
-        told = "\n  ".join(sorted(failed))
-        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+        failures = "\n  ".join(sorted(failed))
+        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {failures}")
 
 
 def _orders(batch: Batch) -> list[tuple[Path, Path, Path | None]]:
-    """Each motion with its result in the folder and its external loads."""
+    """Return each motion with its result in the folder and its external loads."""
     results = _places(batch.motions, batch.out)
     externals = _externals(batch)
     for out in results.values():
@@ -117,21 +118,23 @@ def _orders(batch: Batch) -> list[tuple[Path, Path, Path | None]]:
 
 
 def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
-    """Motion -> result of the same name, and so of the same format."""
-    taken: dict[Path, Path] = {}
+    """Return motion -> result of the same name, and therefore of the same format."""
+    motion_of: dict[Path, Path] = {}
     sources = {motion.resolve() for motion in motions}
     for motion in motions:
         out = place_in(folder.resolve(), motion.resolve().name)
-        if out in taken:
-            raise DataError(f"{taken[out]} and {motion} have the same name, results would meet")
+        if out in motion_of:
+            raise DataError(
+                f"{motion_of[out]} and {motion} have the same name, and so would results"
+            )
         if out in sources:
-            raise DataError(f"{motion}: its result would take its place; choose another folder")
-        taken[out] = motion
-    return {motion: out for out, motion in taken.items()}
+            raise DataError(f"{motion}: its result would overwrite it; choose another folder")
+        motion_of[out] = motion
+    return {motion: out for out, motion in motion_of.items()}
 
 
 def _externals(batch: Batch) -> list[Path | None]:
-    """External loads of each motion: of none, one file for all, or one for each."""
+    """Return the external loads of each motion: none, one file for all, or one for each."""
     files, count = batch.external, len(batch.motions)
     if len(files) not in (0, 1, count):
         raise DataError(
@@ -142,7 +145,7 @@ def _externals(batch: Batch) -> list[Path | None]:
 
 
 def _argument(batch: Batch, motion: Path, out: Path, external: Path | None) -> dict[str, Any]:
-    """A batch of one motion as JSON holds it; a cluster is told absolute paths."""
+    """Return a batch of one motion as JSON values, with absolute paths for a cluster."""
     place = Path if batch.scheduler is None else Path.absolute
     fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
     fields["external"] = [] if external is None else [str(place(external))]
@@ -155,12 +158,12 @@ def do_one(argument: Mapping[str, Any], work: Work) -> Outcome:
     """Do one motion in a worker.
 
     Args:
-        argument: `batch`, the fields of a `Batch` with one motion, paths as text; `allow_code`,
-            whether its scene may name code of others.
-        work: Does the motion.
+        argument: `batch` contains the fields of a `Batch` with one motion, with paths as text;
+            `allow_code` is whether its scene may import code from outside this package.
+        work: Function that processes the motion.
 
     Returns:
-        Its lines, and why it failed.
+        Remarks, and the error message, or "".
     """
     fields = dict(argument["batch"])
     for name in ("scene", "out", "wrenches"):
@@ -176,16 +179,16 @@ def do_one(argument: Mapping[str, Any], work: Work) -> Outcome:
 
 
 def task_of(batch: Batch) -> Task:
-    """What is asked of the only motion of a batch."""
+    """Return the task of the only motion of a batch."""
     (motion,) = batch.motions
     (external,) = _externals(batch)
-    between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
+    time_range = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
     return Task(
         motion,
         Derivatives(batch.derivatives, batch.cutoff, batch.half_width),
         batch.wrenches,
         batch.topic,
         external=external,
-        time_range=between,
+        time_range=time_range,
         wrench_axes=batch.wrench_axes,
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.contracts import Output, without_multiplier
-from mbd_ros.core.kinematics.poses import with_steady_signs, world_pose
+from mbd_ros.core.kinematics.poses import with_continuous_signs, world_pose
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
@@ -30,7 +30,7 @@ _ACCEPTED = "accepted: three of x, y, z, -x, -y, -z, as x,z,-y, or screen"
 
 
 def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list[Column]:
-    """Columns `<joint>.<quantity>`.
+    """Return columns `<joint>.<quantity>`.
 
     Args:
         quantity: position, velocity, acceleration; all else is a torque or force.
@@ -46,7 +46,7 @@ def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list
 def body_columns(
     robot: Robot, motions: Sequence[tuple[Array, Array, Array | None]]
 ) -> list[Column]:
-    """Columns of the free bodies.
+    """Return columns of the free bodies.
 
     Args:
         motions: Coordinates, velocity and acceleration of each body, in the order of time, shape
@@ -54,7 +54,7 @@ def body_columns(
     """
     columns = []
     for base, (q, v, a) in zip(robot.bases, motions, strict=True):
-        pose = with_steady_signs(world_pose(robot, q))
+        pose = with_continuous_signs(world_pose(robot, q))
         columns += motion_columns(BodyMotion(base.name, pose, v, a), base.frame)
     return columns
 
@@ -62,7 +62,7 @@ def body_columns(
 def whole_bodies(
     robot: Robot, q: Array, v: Array, a: Array | None
 ) -> list[tuple[Array, Array, Array | None]]:
-    """The free bodies in motions of all coordinates, for `body_columns`.
+    """Return the motions of the free bodies from all coordinates, for `body_columns`.
 
     Args:
         q: Shape (n, nq).
@@ -75,14 +75,14 @@ def whole_bodies(
 
 
 def carried_columns(robot: Robot, residual: Array) -> list[Column]:
-    """Columns of what nothing carries of the free bodies; residual of shape (n, 6 k)."""
+    """Return columns of the residual wrenches of k free bodies; residual of shape (n, 6 k)."""
     parts = np.split(residual, len(robot.bases), axis=1) if robot.bases else []
     pairs = zip(robot.bases, parts, strict=True)
     return [c for base, part in pairs for c in residual_columns(base.name, base.frame, part)]
 
 
 def state_topics(robot: Robot, quantities: Sequence[str]) -> dict[str, Any]:
-    """Topics of a bag with joint states, one a robot, see `files.bags.bag_writer`.
+    """Return the topics of a bag with joint states, one a robot, see `files.bags.bag_writer`.
 
     Args:
         quantities: Those of `position`, `velocity` and `effort` that there are.
@@ -113,7 +113,7 @@ def output_columns(outputs: Sequence[Output], values: Array) -> list[Column]:
 
 
 def force_topic(rows: Sequence[Row]) -> dict[str, Any]:
-    """Topic of a bag with multipliers, see `files.bags.bag_writer`; none without rows.
+    """Return the topic of a bag with multipliers, see `files.bags.bag_writer`; none without rows.
 
     Args:
         rows: As `RowLayout` names them.
@@ -123,7 +123,7 @@ def force_topic(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
-    """Columns `<name>.command`.
+    """Return columns `<name>.command`.
 
     Args:
         names: As `inputs.command_names` gives them.
@@ -134,12 +134,12 @@ def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
 
 
 def body_topics(robot: Robot) -> dict[str, Any]:
-    """Topics of a bag with the motion of free bodies, see `files.bags.bag_writer`."""
+    """Return the topics of a bag with the motion of free bodies, see `files.bags.bag_writer`."""
     return {f"/{odometry_topic(base.name)}": {"body": base.name} for base in robot.bases}
 
 
 def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
-    """From recorded axes to those of the scene, shape (3, 3).
+    """Return the rotation from recorded axes to those of the scene, shape (3, 3).
 
     Args:
         where: File and option, for messages.
@@ -148,7 +148,8 @@ def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
             takes as x and y of the scene; empty where the recording does not say them.
 
     Raises:
-        DataError: No axes, a mirror image, or a recording that does not say its own.
+        DataError: The axes are not valid or a mirror image, or the recording does not state its
+            screen axes.
     """
     if axes == SCREEN:
         if not screen:
@@ -164,19 +165,21 @@ def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
 
 
 def _right_handed(where: str, screen: Sequence[str]) -> str:
-    """Three axes, the last one square to what a screen shows."""
+    """Return three axes, the last one perpendicular to the screen."""
     names = [name.strip().lower().removeprefix("+") for name in screen]
-    rest = set("xyz") - {name.removeprefix("-") for name in names}
-    if len(rest) != 1 or not all(name.removeprefix("-") in ("x", "y", "z") for name in names):
-        told = ", ".join(screen)
-        raise DataError(f"{where} screen: POINT:X_SCREEN, Y_SCREEN are {told}, accepted: +X, +Z")
-    last = rest.pop()
+    remaining = set("xyz") - {name.removeprefix("-") for name in names}
+    if len(remaining) != 1 or not all(name.removeprefix("-") in ("x", "y", "z") for name in names):
+        recorded = ", ".join(screen)
+        raise DataError(
+            f"{where} screen: POINT:X_SCREEN, Y_SCREEN are {recorded}, accepted: +X, +Z"
+        )
+    last = remaining.pop()
     sign = "" if np.linalg.det(_rows([*names, last])) > 0.0 else "-"
     return ",".join([*names, sign + last])
 
 
 def _rows(names: Sequence[str]) -> Array:
-    """A unit vector a name."""
+    """Return one unit vector per name."""
     rows = np.zeros((3, 3))
     for i, name in enumerate(names):
         rows[i, "xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
@@ -184,7 +187,7 @@ def _rows(names: Sequence[str]) -> Array:
 
 
 def other_axes() -> Iterator[tuple[str, Array]]:
-    """All turns by right angles but none, with their matrices."""
+    """Yield all rotations by right angles except the identity, with their matrices."""
     for order, signs in product(permutations("xyz"), product(("", "-"), repeat=3)):
         names = [sign + axis for sign, axis in zip(signs, order, strict=True)]
         rows, axes = _rows(names), ",".join(names)

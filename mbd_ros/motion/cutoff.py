@@ -1,10 +1,11 @@
-"""Where motion ends and noise begins: the cut-off frequency that a recording asks for.
+"""Choose the cutoff frequency of a recording from its spectrum, where noise exceeds motion.
 
-A motion has little acceleration at high frequencies, since forces are finite; noise has ever more.
-In the density P(f) of positions [rad^2/Hz] a motion falls steeper than f^-3, noise does not:
-encoders and clocks give f^0, velocities with white noise, steps and repeated samples f^-2. Noise
-may end again (a recording that was resampled), so the lowest frequency counts from which on P
-stays flat for a while and after which no motion comes up.
+A motion has little acceleration at high frequencies, since forces are finite, whereas the
+acceleration of noise grows with frequency. In the power spectral density P(f) of positions
+[rad^2/Hz], motion falls steeper than f^-3 and noise does not: encoders and clocks cause f^0;
+velocities with white noise, steps and repeated samples cause f^-2. Noise may end at a higher
+frequency (in a resampled recording). So noise starts at the lowest frequency from which on P stays
+flat for some bands and beyond which no motion rises above it.
 """
 
 from __future__ import annotations
@@ -62,20 +63,20 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
     return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
 
 
-def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
+def _bands(spectrum_of_pieces: Spectrum, order: int, cutoff: Array) -> Bands:
     """The part that the low-pass of a cut-off does not pass and that of the next does."""
-    turn = np.square(2.0 * np.pi * found.frequency)
-    one, m = np.ones_like(turn), found.density.shape[1]
-    passed = np.array([*(response(found.frequency, f) for f in cutoff), one])
+    turn = np.square(2.0 * np.pi * spectrum_of_pieces.frequency)
+    ones, m = np.ones_like(turn), spectrum_of_pieces.density.shape[1]
+    passed = np.array([*(response(spectrum_of_pieces.frequency, f) for f in cutoff), ones])
     share = np.diff(passed, axis=0)
     np.square(share, out=share)
-    wanted, given = (turn, turn) if order else (np.square(turn), one)
-    columns = [found.density, wanted[:, None] * found.density]
-    columns.append(np.stack([given, one, np.square(turn)], axis=1))
-    sums = found.frequency[0] * product(share, np.concatenate(columns, axis=1))
+    to_acceleration, to_noise = (turn, turn) if order else (np.square(turn), ones)
+    columns = [spectrum_of_pieces.density, to_acceleration[:, None] * spectrum_of_pieces.density]
+    columns.append(np.stack([to_noise, ones, np.square(turn)], axis=1))
+    sums = spectrum_of_pieces.frequency[0] * product(share, np.concatenate(columns, axis=1))
     energy, force, (noise, width, gain) = sums[:, :m], sums[:, m : 2 * m], sums[:, 2 * m :].T
     density = energy / noise[:, None]
-    return Bands(cutoff, density, force, width, gain, order, found.span)
+    return Bands(cutoff, density, force, width, gain, order, spectrum_of_pieces.span)
 
 
 class Bands(NamedTuple):
@@ -109,12 +110,12 @@ def _frequencies(times: Array) -> Array:
 
 
 def _column(pieces: Sequence[tuple[Array, Array]], k: int) -> Array:
-    """A signal in all pieces; few are needed as a whole."""
+    """Return a signal of all pieces; few signals are needed completely."""
     return np.concatenate([values[:, k] for _, values in pieces])
 
 
 def _best(bands: Bands, column: int, signal: Callable[[], Array]) -> float:
-    """Cut-off of a signal, which is that of a column."""
+    """Return the cutoff frequency of a signal, which is a column of the bands."""
     density, acceleration = bands.density[:, column], bands.acceleration[:, column]
     first = _first_of_noise(bands, density, signal)
     if first is None:
@@ -134,7 +135,7 @@ def _best(bands: Bands, column: int, signal: Callable[[], Array]) -> float:
 
 
 def _first_of_noise(bands: Bands, density: Array, signal: Callable[[], Array]) -> int | None:
-    """First band that is noise and has only noise beyond it; None without any.
+    """Return the first band that is noise and beyond which is only noise, or None.
 
     Args:
         density: Of the signal in them.
@@ -166,14 +167,14 @@ def _is_flat(rising: NDArray[np.float64]) -> bool:
 
 
 def _step(signal: Array) -> float:
-    """Resolution of a signal that only takes multiples of a step; 0 for any other."""
+    """Return the resolution of a signal of multiples of a step; 0 for other signals."""
     steps = np.diff(np.sort(signal))
     steps = steps[steps > 1e-9 * np.ptp(signal)]
     few = len(steps) < 8
     if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
         return 0.0
     step = float(steps.min())
-    for some in (steps[:_FIRST], steps[_FIRST:]):  # most signals are found out by few
+    for some in (steps[:_FIRST], steps[_FIRST:]):  # few steps usually suffice
         multiples = some / step
         if np.abs(multiples - np.rint(multiples)).max(initial=0.0) >= 0.02:
             return 0.0
@@ -181,7 +182,7 @@ def _step(signal: Array) -> float:
 
 
 def _lost_at_ends(bands: Bands, lost: Array) -> Array:
-    """Mean square of the accelerations that a cut-off loses about both ends, shape (k,).
+    """Return the mean square of the accelerations that a cutoff loses near both ends, shape (k,).
 
     There a smoothing spline has no derivatives from the fourth on. What a signal with the fourth
     derivative y4 loses decays within a period; the integral of its square is
@@ -194,7 +195,7 @@ def _lost_at_ends(bands: Bands, lost: Array) -> Array:
 
 
 def _renewals(signal: Array) -> float:
-    """How often a signal that changes has a new value, per sample; inf where each is new.
+    """Return how often a changing signal has a new value per sample; inf if every sample is new.
 
     A joint that rests in between does not repeat samples: most runs of equal samples count, not
     most samples.
@@ -208,7 +209,7 @@ def _renewals(signal: Array) -> float:
 
 
 def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
-    """Lines about the low-pass of each joint.
+    """Yield remarks on the low-pass filter of each joint.
 
     Args:
         cutoff: That of the result of `zero_phase`.
@@ -216,7 +217,7 @@ def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int
         chosen: Whether the recording asked for it, not the user.
         samples: Number of them.
     """
-    source = "from the noise of the recording" if chosen else "as asked for"
+    source = "from the noise of the recording" if chosen else "as given"
     smoothed = np.flatnonzero(np.isfinite(cutoff))
     if smoothed.size:
         low, high = (pick(smoothed, key=cutoff.__getitem__) for pick in (min, max))

@@ -1,4 +1,4 @@
-"""External loads of a recorded motion."""
+"""External loads of a recorded motion, at the samples of the motion."""
 
 from __future__ import annotations
 
@@ -22,36 +22,38 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_sections
 
 _WORLD = "world"
-WRENCH_MAX_AGE = 0.1  # s
+WRENCH_MAX_AGE = 0.1  # [s], for which the last sample of a wrench is held
 
 
 class ExternalLoads:
-    """Loads of an .xml, and the scene that carries them.
+    """External loads of an OpenSim .xml file.
 
     Args:
-        scene: Its own `external_wrenches` give way to those of the file.
-        path: The .xml.
+        scene: The scene; the loads of the file replace its `external_wrenches`.
+        path: The .xml file.
 
     Attributes:
-        scene: The scene with a load of every force.
-        remarks: What is odd about their files, for people.
+        scene: The scene with an external wrench for every load.
+        remarks: Remarks on irregularities of the files.
 
     Raises:
-        DataError: A file that cannot be read, or a body that the scene lacks.
+        DataError: A file cannot be read, or the scene has no body of a load.
     """
 
     def __init__(self, scene: Scene, path: Path) -> None:
-        self._path, self._loads = path, read_external_loads(path)
-        told = (f"{load.source}: {text}" for load in self._loads for text in load.remarks)
-        self.remarks = list(dict.fromkeys(told))
+        self._path = path
+        self._loads = read_external_loads(path)
+        remarks = (f"{load.source}: {text}" for load in self._loads for text in load.remarks)
+        self.remarks = list(dict.fromkeys(remarks))
         self.scene = with_sections(
             scene, external_wrenches={load.name: _entry(scene, path, load) for load in self._loads}
         )
 
     def at(self, stamps: NDArray[np.int64]) -> list[Array]:
-        """Force and torque about the origin of its frame, for each load, shape (n, 6).
+        """Return force and torque about the origin of its frame for each load, shape (n, 6).
 
-        Forces, points and torques are natural cubic splines of their own, as OpenSim has them.
+        Forces, points and torques are interpolated by separate natural cubic splines, as in
+        OpenSim.
 
         Args:
             stamps: Times of the motion [ns], shape (n,).
@@ -67,35 +69,34 @@ class ExternalLoads:
         self._check_times(load, stamps)
         begin = load.stamps[0]
         known = (load.stamps - begin) * NANOSECOND
-        beyond = np.diff(known).max(initial=0.0)  # a spline goes on for a step of its own
-        times = np.clip((stamps - begin) * NANOSECOND, -beyond, known[-1] + beyond)
-        whole = np.hstack([load.force, load.point, load.torque])
+        margin = np.diff(known).max(initial=0.0)  # extrapolate by at most one step
+        times = np.clip((stamps - begin) * NANOSECOND, -margin, known[-1] + margin)
+        values = np.hstack([load.force, load.point, load.torque])
         if len(known) == 1:
-            force, point, torque = np.split(np.repeat(whole, len(stamps), axis=0), 3, axis=1)
+            force, point, torque = np.split(np.repeat(values, len(stamps), axis=0), 3, axis=1)
         else:
-            spline = CubicSpline(known, whole, bc_type="natural")
+            spline = CubicSpline(known, values, bc_type="natural")
             force, point, torque = np.split(spline(times), 3, axis=1)
         return np.hstack([force, torque + np.cross(point, force)])
 
     def _check_times(self, load: ExternalLoad, stamps: NDArray[np.int64]) -> None:
-        """Refuse loads that do not reach over the motion, but for a step of one of both."""
+        """Refuse loads that do not cover the motion, with a tolerance of one step."""
         first, last = load.stamps[[0, -1]]
         steps = [np.diff(times).max(initial=0) for times in (load.stamps, stamps)]
-        step = max(steps)  # a filter that resamples begins up to a step earlier
+        step = max(steps)  # a filter that resamples may start up to one step earlier
         if first - step <= stamps[0] and stamps[-1] <= last + step:
             return
-        ours, theirs = (_range(times) for times in (stamps, load.stamps))
-        apart = last < stamps[0] or first > stamps[-1]
-        what = "the times do not overlap" if apart else "the loads do not cover the motion"
+        is_disjoint = last < stamps[0] or first > stamps[-1]
+        reason = "the times do not overlap" if is_disjoint else "the loads do not cover the motion"
         raise DataError(
-            f"{load.source}: loads at {theirs} s, the motion at {ours} s: {what} "
-            f"({self._path}: {load.name})"
+            f"{load.source}: loads at {_range(load.stamps)} s, the motion at {_range(stamps)} s: "
+            f"{reason} ({self._path}: {load.name})"
         )
 
 
 def _entry(scene: Scene, path: Path, load: ExternalLoad) -> dict[str, str]:
-    """The load as an entry of `external_wrenches`."""
-    places = []
+    """Return the load as an entry of `external_wrenches`."""
+    frames = []
     for body in (load.body, load.frame):
         try:
             scene.robot.frame(body)
@@ -103,8 +104,8 @@ def _entry(scene: Scene, path: Path, load: ExternalLoad) -> dict[str, str]:
             if body != GROUND:
                 raise DataError(f"{path}: ExternalForce {load.name}: {error}") from error
             body = _WORLD
-        places.append(body)
-    return {"frame": places[0], "expressed_in": places[1]}
+        frames.append(body)
+    return {"frame": frames[0], "expressed_in": frames[1]}
 
 
 def _range(stamps: Sequence[int] | NDArray[np.int64]) -> str:
@@ -114,16 +115,21 @@ def _range(stamps: Sequence[int] | NDArray[np.int64]) -> str:
 def read_loads(
     scene: Scene, motion: Source, wrenches: Source | None, axes: str | None = None
 ) -> tuple[dict[str, WrenchSamples], Counter[str]]:
-    """Samples of the loads of a scene, and messages left out, counted by reason.
+    """Read the samples of the external loads of a scene.
 
     Args:
-        motion: Result, file or bag of the motion; a bag carries its wrenches itself.
+        scene: The scene.
+        motion: Result, file or bag of the motion; a bag contains its wrenches itself.
         wrenches: Result, file or bag of the wrenches, or None.
-        axes: Recorded axis along each axis of the scene, see `recorded_axes`; None: the same.
+        axes: Recorded axis along each axis of the scene, see `axes_matrix`; by default the axes
+            are the same.
+
+    Returns:
+        The samples, and the number of messages left out, by reason.
 
     Raises:
-        DataError: A file that cannot be read or that the scene has no use for, or a wrench in
-            another frame than that of the scene.
+        DataError: A file cannot be read or has no use, or a wrench is in another frame than that
+            of the scene.
     """
     refuse_unused(scene, wrenches)
     dropped: Counter[str] = Counter()
@@ -133,7 +139,7 @@ def read_loads(
     if wrenches is None and (isinstance(source, Result) or not is_bag(source)):
         raise DataError(
             f"{scene.name}: external_wrenches {', '.join(scene.wrenches)}: a table of joints does "
-            "not carry them; give --wrenches FILE"
+            "not contain them; give --wrenches FILE"
         )
     topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
     loads = read_wrenches(source, topics, dropped=dropped)
@@ -145,12 +151,12 @@ def read_loads(
                 f"expects '{expected}'"
             )
     if axes is not None:
-        loads = {name: _turned(samples, source, axes) for name, samples in loads.items()}
+        loads = {name: _in_scene_axes(samples, source, axes) for name, samples in loads.items()}
     return loads, dropped
 
 
-def _turned(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
-    """A load in axes of the scene."""
+def _in_scene_axes(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
+    """Return a load in the axes of the scene."""
     screen: Sequence[str] = ()
     if axes == SCREEN and (isinstance(source, Result) or not is_bag(source)):
         result = source if isinstance(source, Result) else read_result(source)
@@ -161,26 +167,29 @@ def _turned(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
 
 
 def wrench_at(where: str, name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
-    """A load at the stamps of a motion, shape (n, 6).
+    """Return a load at the stamps of a motion, shape (n, 6).
 
     Args:
         where: File, for the message.
+        name: Name of the load.
+        samples: Samples of the load.
+        stamps: Stamps of the motion [ns], shape (n,).
 
     Raises:
-        DataError: It does not cover the motion.
+        DataError: The samples do not cover the motion.
     """
     wrench = at_stamps(samples, stamps, round(WRENCH_MAX_AGE / NANOSECOND))
-    lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
-    if len(lacking):
+    uncovered = np.flatnonzero(np.isnan(wrench[:, 0]))
+    if len(uncovered):
         raise DataError(
             f"{where}: wrench '{name}' covers {samples.stamps[0] / 1e9} to "
-            f"{samples.stamps[-1] / 1e9} s, not the motion at {stamps[lacking[0]] / 1e9} s"
+            f"{samples.stamps[-1] / 1e9} s, not the motion at {stamps[uncovered[0]] / 1e9} s"
         )
     return wrench
 
 
 def refuse_unused(scene: Scene, wrenches: Source | None) -> None:
-    """Refuse a file of loads for a scene without any.
+    """Refuse a file of loads for a scene that has no external loads.
 
     Raises:
         DataError: The scene has no `external_wrenches`.

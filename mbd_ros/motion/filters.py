@@ -1,4 +1,4 @@
-"""Recorded motions through low-passes: without lag, and as the live node filters."""
+"""Low-pass filters for recorded motions: without lag, or causal as in the live node."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import (
     Observation,
     Observations,
     TorqueEstimator,
-    together,
+    concatenate_observations,
 )
 from mbd_ros.methods.signals.differentiation import CausalDifferentiator
 from mbd_ros.methods.signals.smoothing_spline import HIGHEST
@@ -30,14 +30,14 @@ _BLOCK, _FEW = 16_384, 256  # samples that are filtered at once, at most and at 
 
 
 class ZeroPhase(NamedTuple):
-    """A motion without noise.
+    """A motion after a filter without lag.
 
     Attributes:
-        position: [rad or m], shape (n, m).
-        velocity: [rad/s or m/s], same shape.
-        acceleration: [rad/s^2 or m/s^2], same shape.
-        cutoff: Half-power frequency of each joint's low-pass [Hz], shape (m,); inf where there is
-            nothing to smooth.
+        position: Positions [rad or m], shape (n, m).
+        velocity: Velocities [rad/s or m/s], shape (n, m).
+        acceleration: Accelerations [rad/s^2 or m/s^2], shape (n, m).
+        cutoff: Half-power frequency of the low-pass filter of each joint [Hz], shape (m,); inf
+            where nothing is smoothed.
     """
 
     position: Array
@@ -53,38 +53,38 @@ def zero_phase(
     *,
     cutoff: float | None = None,
 ) -> ZeroPhase:
-    """Low-pass a whole recording and differentiate it, without lag.
+    """Filter a recording by a low-pass without lag, and differentiate it.
 
     The acceleration is the derivative of the measured velocity or, without one, the second
-    derivative of the position. Beyond a gap the recording begins anew.
+    derivative of the position. Parts of the recording between gaps are filtered separately.
 
     Args:
         stamps: Sample times [ns], increasing, may be irregular, shape (n,).
-        position: [rad or m], shape (n, m).
-        velocity: [rad/s or m/s], shape (n, m); a column with a NaN is not used. None: not
-            measured.
-        cutoff: Half-power frequency for all joints [Hz], > 0. None: for each joint the one that
-            its spectrum asks for, see `cutoff`.
+        position: Positions [rad or m], shape (n, m).
+        velocity: Measured velocities [rad/s or m/s], shape (n, m), or None; a column with a NaN is
+            not used.
+        cutoff: Half-power frequency for all joints [Hz], > 0; by default it is chosen for each
+            joint from its spectrum, see `mbd_ros.motion.cutoff`.
 
     Raises:
-        DataError: Too few samples in a row, or a cut-off out of its range.
+        DataError: There are too few consecutive samples, or the cutoff is out of its range.
     """
     measured = np.zeros(position.shape[1], dtype=np.bool_)
     if velocity is not None:
         measured = ~np.isnan(velocity).any(axis=0)
     moving = position if velocity is None else np.hstack([position, velocity])
     chosen = chosen_cutoffs(stamps, moving, measured, cutoff)
-    found = tuple(np.empty_like(position) for _ in range(3))
+    fields = tuple(np.empty_like(position) for _ in range(3))
     for rows, *smooth in smoothed(Windows(stamps, chosen), moving, measured, chosen):
-        for whole, values in zip(found, smooth, strict=True):
-            whole[rows] = values
-    return ZeroPhase(*found, stated(stamps, chosen))
+        for field, values in zip(fields, smooth, strict=True):
+            field[rows] = values
+    return ZeroPhase(*fields, stated(stamps, chosen))
 
 
 def chosen_cutoffs(
     stamps: Stamps, moving: Rows, measured: NDArray[np.bool_], cutoff: float | None
 ) -> Array:
-    """Cut-off of each joint [Hz], shape (m,), see `zero_phase` and `smoothed`."""
+    """Return the cutoff of each joint [Hz], shape (m,), see `zero_phase` and `smoothed`."""
     if cutoff is not None and not (np.isfinite(cutoff) and cutoff > 0):
         raise DataError(f"cutoff {cutoff} Hz must be finite and > 0")
     parts = parts_of(stamps)
@@ -94,22 +94,23 @@ def chosen_cutoffs(
 
 
 class Rows(Protocol):
-    """Numbers by rows, in memory or in a file."""
+    """Rows of numbers, in memory or in a file."""
 
     def __getitem__(self, rows: slice, /) -> Array:
-        """Some rows, shape (n, m)."""
+        """Return some rows, shape (n, m)."""
         ...
 
 
 def _chosen(
     stamps: Stamps, parts: Sequence[slice], moving: Rows, measured: NDArray[np.bool_]
 ) -> Array:
-    """Cut-off of every joint, from its measured velocity or from its position."""
-    cut = [piece for part in parts for piece in _pieces(part)]
-    longest = max(piece.stop - piece.start for piece in cut)
-    whole = [piece for piece in cut if 2 * (piece.stop - piece.start) > longest]
-    taken = whole[:: -(-len(whole) // _PIECES)]
-    times, signals = [times_of(stamps, piece) for piece in taken], [moving[p] for p in taken]
+    """Return the cutoff of every joint, from its measured velocity or its position."""
+    all_pieces = [piece for part in parts for piece in _pieces(part)]
+    longest = max(piece.stop - piece.start for piece in all_pieces)
+    long_pieces = [piece for piece in all_pieces if 2 * (piece.stop - piece.start) > longest]
+    selected = long_pieces[:: -(-len(long_pieces) // _PIECES)]
+    times = [times_of(stamps, piece) for piece in selected]
+    signals = [moving[piece] for piece in selected]
     chosen, m = np.full(len(measured), np.inf), len(measured)
     for order, mine in ((0, ~measured), (1, measured)):
         if mine.any():
@@ -120,7 +121,7 @@ def _chosen(
 
 
 def _pieces(part: slice) -> Iterator[slice]:
-    """Pieces of about the same length, of at most `_PIECE` samples."""
+    """Return pieces of about the same length, of at most `_PIECE` samples."""
     count = -(-(part.stop - part.start) // _PIECE)
     edges = np.linspace(part.start, part.stop, count + 1).astype(np.intp).tolist()
     return (slice(*pair) for pair in itertools.pairwise(edges))
@@ -129,68 +130,74 @@ def _pieces(part: slice) -> Iterator[slice]:
 def smoothed(
     windows: Windows, moving: Rows, measured: NDArray[np.bool_], cutoff: Array
 ) -> Iterator[tuple[slice, Array, Array, Array]]:
-    """Rows, and position, velocity and acceleration of these, window by window.
+    """Yield rows, and their position, velocity and acceleration, window by window.
 
     Args:
-        windows: Of all stamps and the cut-offs.
-        moving: Positions and, where any is measured, velocities of m joints, side by side.
+        windows: Windows of all stamps and cutoffs.
+        moving: Positions of m joints and, if any is measured, their velocities, side by side.
         measured: Joints whose velocity is used, shape (m,).
-        cutoff: That of `chosen_cutoffs`.
+        cutoff: Result of `chosen_cutoffs`.
     """
     m = len(cutoff)
-    derived, given = np.flatnonzero(~measured), np.flatnonzero(measured)
-    chosen = np.concatenate([derived, given, m + given])
-    ours = np.arange(len(derived))
-    theirs = len(derived) + np.arange(len(given))
+    unmeasured, with_velocity = np.flatnonzero(~measured), np.flatnonzero(measured)
+    columns = np.concatenate([unmeasured, with_velocity, m + with_velocity])
+    first = np.arange(len(unmeasured))
+    second = len(unmeasured) + np.arange(len(with_velocity))
     for window in windows:
         rows = window.core.stop - window.core.start
-        smooth, rate, push = found = np.empty((3, rows, m))
-        wanted = [(k, ours, found[k], derived) for k in range(3) if len(ours)]
-        if len(given):
-            rates = theirs + len(given)
-            wanted += [(0, theirs, smooth, given)]
-            wanted += [(0, rates, rate, given), (1, rates, push, given)]
-        window.low_pass.put(moving[window.wide], chosen, cutoff[chosen % m], wanted, window.own)
-        yield window.core, smooth, rate, push
+        fields = np.empty((3, rows, m))
+        position, velocity, acceleration = fields
+        outputs = [(k, first, fields[k], unmeasured) for k in range(3) if len(first)]
+        if len(with_velocity):
+            rates = second + len(with_velocity)
+            outputs += [(0, second, position, with_velocity)]
+            outputs += [(0, rates, velocity, with_velocity)]
+            outputs += [(1, rates, acceleration, with_velocity)]
+        window.low_pass.put(
+            moving[window.wide], columns, cutoff[columns % m], outputs, window.core_in_wide
+        )
+        yield window.core, position, velocity, acceleration
 
 
 def stated(stamps: Stamps, chosen: Array) -> Array:
-    """Cut-offs for people: inf where nothing is smoothed."""
+    """Return the cutoffs to report: inf where nothing is smoothed."""
     highest = HIGHEST / (usual_step(stamps) * NANOSECOND)
     return np.where(chosen < highest, chosen, np.inf)
 
 
 def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[tuple[Array, float]]:
-    """Signals of the joints through the low-pass of their motion, in pieces.
+    """Filter signals of the joints by the low-pass of their motion, in pieces.
 
     Args:
-        windows: Of all stamps and the cut-offs.
-        values: One a joint, shape (n, m), or what gives some rows of them.
-        cutoff: That of the result of `zero_phase`.
+        windows: Windows of all stamps and cutoffs.
+        values: One signal per joint, shape (n, m).
+        cutoff: Cutoffs of the result of `zero_phase`.
 
     Yields:
         Signals of one or several joints at times that are a step apart, and the step [s].
     """
     every = np.arange(len(cutoff))
     for window in windows:
-        wide, own = values[window.wide], window.own
-        yield from (found[1:] for found in window.low_pass.spread(wide, every, cutoff, own))
+        pieces = window.low_pass.spread(values[window.wide], every, cutoff, window.core_in_wide)
+        yield from (piece[1:] for piece in pieces)
 
 
 def observe(estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]) -> Observations:
-    """Pass a motion through the causal filters.
+    """Filter a motion by the causal filters of an estimator.
 
     Args:
-        estimator: With the filters.
-        motion: The motion, NaN where a joint is absent.
+        estimator: The estimator.
+        motion: The motion, NaN where a joint is missing.
         dropped: Counts the samples that cannot be used, by reason.
     """
     blocks = _blocks(0, len(motion.stamps), _BLOCK)
     parts = []
     for block in progress(blocks, len(blocks), "filtering"):
         parts += _observed(estimator, motion, block, dropped)
-    none = np.zeros((0, 0))
-    return together(parts or [Observations(np.zeros(0, np.int64), none, none, none, none)])
+    if not parts:
+        none = np.zeros((0, 0))
+        return Observations(np.zeros(0, np.int64), none, none, none, none)
+    return concatenate_observations(parts)
 
 
 def _blocks(begin: int, end: int, size: int) -> list[slice]:
@@ -200,14 +207,14 @@ def _blocks(begin: int, end: int, size: int) -> list[slice]:
 def _observed(
     estimator: TorqueEstimator, motion: Motion, block: slice, dropped: Counter[str]
 ) -> list[Observations]:
-    """Samples of a block: all at once, else in smaller blocks, at last one by one."""
+    """Return the samples of a block: at once, or in smaller blocks, or one by one."""
     stamps, position = motion.stamps[block], motion.position[block]
     velocity = np.full_like(position, np.nan)
     if motion.velocity is not None:
         velocity = motion.velocity[block]
-    found = estimator.observe_all(stamps, position, velocity)
-    if found is not None:
-        return [found]
+    observations = estimator.observe_all(stamps, position, velocity)
+    if observations is not None:
+        return [observations]
     if len(stamps) > _FEW and not motion.bodies:
         smaller = _blocks(block.start, block.stop, max(len(stamps) // 8, _FEW))
         each = [_observed(estimator, motion, part, dropped) for part in smaller]
@@ -228,7 +235,7 @@ def _observed(
 
 
 def _body_rows(motion: Motion, block: slice) -> list[tuple[Array, Array]]:
-    """Poses and twists of the free bodies, a pair a sample."""
+    """Return poses and twists of the free bodies, one pair per sample."""
     unknown = np.full((len(motion.stamps), TWIST), np.nan)
     poses = np.stack([body.pose for body in motion.bodies], axis=1)[block]
     twists = [unknown if body.twist is None else body.twist for body in motion.bodies]
@@ -236,7 +243,7 @@ def _body_rows(motion: Motion, block: slice) -> list[tuple[Array, Array]]:
 
 
 def causal_line(filters: CausalDifferentiator, cutoff: float) -> str:
-    """How far causal derivatives lag behind the motion."""
+    """Return a remark on the lag of causal derivatives."""
     return (
         f"causal derivatives at {cutoff:g} Hz lag by {filters.delay:.4f} s and settle within "
         f"{filters.settling_time:.4f} s"

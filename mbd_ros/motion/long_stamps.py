@@ -1,4 +1,4 @@
-"""What stamps tell, a piece of them at a time: the rate, the gaps, windows without gaps."""
+"""Sampling rate, gaps and windows of long recordings, whose stamps are read piece by piece."""
 
 import bisect
 import itertools
@@ -26,7 +26,7 @@ class Stamps(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, rows: slice, /) -> NDArray[np.int64]:
-        """Some that follow each other."""
+        """Return consecutive stamps."""
         ...
 
 
@@ -34,53 +34,59 @@ class Window:
     """Rows that are smoothed at once.
 
     Args:
-        core: Those to find.
-        wide: Those to look at.
-        low_pass: Of `wide`.
+        core: Rows of the result.
+        wide: Rows that the result depends on.
+        low_pass: Low-pass filter of `wide`.
+
+    Attributes:
+        core_in_wide: Rows of the result, relative to `wide`.
     """
 
     def __init__(self, core: slice, wide: slice, low_pass: LowPass) -> None:
-        self.core, self.wide = core, wide
-        self.own = slice(core.start - wide.start, core.stop - wide.start)  # of `wide`
+        self.core = core
+        self.wide = wide
+        self.core_in_wide = slice(core.start - wide.start, core.stop - wide.start)
         self.low_pass = low_pass
 
 
 class Windows:
-    """All rows, piece by piece, with those around them that cut-offs need.
+    """All rows in windows, each with the neighbouring rows that the filters need.
 
     Args:
-        stamps: Of all rows [ns].
-        cutoff: Cut-offs [Hz].
+        stamps: Stamps of all rows [ns].
+        cutoff: Cutoff frequencies [Hz].
     """
 
     def __init__(self, stamps: Stamps, cutoff: Array) -> None:
-        self._given, self._kept = (stamps, cutoff), list[Window]()
+        self._stamps = stamps
+        self._cutoff = cutoff
+        self._only = list[Window]()
 
     def __iter__(self) -> Iterator[Window]:
-        """The windows; where there is but one, it is the same again."""
-        if self._kept:
-            yield from self._kept
+        """Yield the windows; a single window is stored and yielded again next time."""
+        if self._only:
+            yield from self._only
             return
-        for k, window in enumerate(_windows(*self._given)):
-            self._kept = [] if k else [window]
+        for k, window in enumerate(_windows(self._stamps, self._cutoff)):
+            self._only = [] if k else [window]
             yield window
 
 
 def times_of(stamps: Stamps, rows: slice) -> Array:
-    """Times since the first of all stamps [s]."""
+    """Return the times since the first stamp [s]."""
     times: Array = (stamps[rows] - stamps[0:1]) * NANOSECOND
     return times
 
 
 def usual_step(stamps: Stamps) -> float:
-    """Median of the steps [ns], of evenly spread blocks where there are many; 0 without any."""
+    """Return the median of the steps [ns], from evenly spaced blocks if there are many."""
     steps = [np.diff(stamps[rows]) for rows in _telling(slice(0, len(stamps)))]
     every = np.concatenate(steps)
     return float(np.median(every)) if len(every) else 0.0
 
 
 def _telling(part: slice) -> list[slice]:
-    """Rows that tell the rate of a part, its first and its last among them."""
+    """Return rows that determine the rate of a part, including its first and last."""
     count = part.stop - part.start
     if count <= _TELLING:
         return [part]
@@ -112,10 +118,10 @@ def _windows(stamps: Stamps, cutoff: Array) -> Iterator[Window]:
 
 
 def parts_of(stamps: Stamps) -> list[slice]:
-    """Stretches without gaps.
+    """Return the parts of a recording between its gaps.
 
     Raises:
-        DataError: One of them is too short.
+        DataError: A part is too short.
     """
     usual, n = usual_step(stamps), len(stamps)
     gap = max(_GAP / NANOSECOND, _GAP_STEPS * usual)

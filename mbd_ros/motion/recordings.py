@@ -1,6 +1,6 @@
-"""Motions, wrenches and markers from tables and bags: one meaning for all.
+"""Read motions, wrenches and markers from tables and bags.
 
-A result says of which it was made: `metadata_of`.
+`metadata_of` describes in a result what it was computed from.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.kinematics.poses import with_continuous_signs
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
 
 Source = str | Path | Result  # of a motion
-CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
+CSV = (".csv", ".csv.gz")  # nan is accepted in some columns only
 _WRENCHES = "wrenches"  # table of the plates of a .c3d
 _IN_MEMORY = "the result"
 _FROM_MARKERS = "kinematics"  # the job
 UNITS = {"m": 1.0, "mm": 1.0e-3, "cm": 1.0e-2}
 _AXES = ("x", "y", "z")
-_OF_JOINTS = ("position", "velocity", "acceleration", "effort", "command")
+_JOINT_FIELDS = ("position", "velocity", "acceleration", "effort", "command")
 _ENDINGS = (".{}", ".position_{}", ".position.{}", "_{}")  # of the columns of a marker
-_FAR = 50.0  # m from one marker to another of a frame: no person and no laboratory has that
+_FAR = 50.0  # [m], a distance between markers that no laboratory has
 
 
 def read_motion(
@@ -52,30 +52,30 @@ def read_motion(
     sliding: Collection[str] = (),
     assumed: Callable[[str], float] | None = None,
 ) -> Recording:
-    """Samples of the joints and free bodies asked for; others in the file are ignored.
+    """Read the samples of joints and free bodies; other joints in the file are ignored.
 
-    A bag message is dropped, and counted, if it is malformed, if a required joint lacks a finite
-    position, or if its stamp is not newer than all before it. Velocities and efforts that are not
-    finite are absent. One zero stamp makes all stamps those of the log. Joints of a named robot
-    and free bodies come on topics of their own; messages of one stamp make a sample, and what
-    lacks a part of it is dropped and counted.
+    A bag message is dropped, and counted, if it is malformed, if a required joint has no finite
+    position, or if its stamp is not newer than all before. Velocities and efforts that are not
+    finite count as missing. If one stamp is zero, the log times replace all stamps. Every named
+    robot and every free body has its own topic; messages with the same stamp make a sample, and
+    incomplete samples are dropped and counted.
 
     Args:
         source: A result, or a file of one, with columns `<joint>.position`, `.velocity`,
             `.acceleration`, `.effort`, `.command`; or a bag, which has no accelerations and
             commands.
-        joints: Names, in the order of the columns of the motion.
+        joints: Names of the joints, in the order of the columns of the motion.
         topic: JointState topic of a bag.
-        required: Joints whose position must be there; all without it. The others may be NaN.
-        bodies: Free bodies, whose pose must be there, and the link that stands for each.
-        members: Names of robots and bodies in front of those of their joints, see `topics`.
-        sliding: Joints that slide: of a .mot or .sto in degrees they are in metres.
-        assumed: Gives the position of a required joint that a storage of a laboratory lacks;
-            without it every required joint must be there.
+        required: Joints that must have a position; by default all. The others may be NaN.
+        bodies: Free bodies, which must have a pose, and their links.
+        members: Names of robots and bodies that are prefixes of joints, see `topics`.
+        sliding: Prismatic joints, which are in metres in a .mot or .sto file in degrees.
+        assumed: Function that returns the position of a required joint that a laboratory file
+            does not have; by default all required joints must be in the file.
 
     Raises:
-        DataError: A file that cannot be read, a required joint that is nowhere in it, or nothing
-            usable on the topic.
+        DataError: The file cannot be read, a required joint is missing, or no message on the topic
+            can be used.
     """
     needed = [name for name in joints if required is None or name in required]
     if not isinstance(source, Result) and is_bag(source):
@@ -83,14 +83,14 @@ def read_motion(
 
         wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
         recorded = bag_motion(Path(source), topic, wanted)
-        fields = (getattr(recorded.motion, key) for key in _OF_JOINTS)
+        fields = (getattr(recorded.motion, key) for key in _JOINT_FIELDS)
         refuse_huge(str(source), joints, *fields)
         return recorded
     table, where, labels, remarks, of_laboratory = _samples(source, (), joints, sliding)
-    lacking: list[str] = []
+    missing: list[str] = []
     if labels is not None and assumed is not None:
-        lacking = [name for name in needed if f"{name}.position" not in table]
-        table = Table([*table.columns, *(_constant(table, n, assumed(n)) for n in lacking)])
+        missing = [name for name in needed if f"{name}.position" not in table]
+        table = Table([*table.columns, *(_constant(table, n, assumed(n)) for n in missing)])
     poses = [name for body in bodies for name in names_of(body, POSE)]
     _check_columns(table, where, [*(f"{name}.position" for name in needed), *poses])
     position, velocity, acceleration, effort, command = (
@@ -100,9 +100,9 @@ def read_motion(
     if position is None:
         position = np.full((table.rows, len(joints)), np.nan)
     fields = position, velocity, acceleration, effort, command
-    moving = tuple(_body(table, where, name) for name in bodies)
-    motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
-    return Recording(motion, Counter(), False, tuple(lacking), labels, remarks, of_laboratory)
+    body_motions = tuple(_body(table, where, name) for name in bodies)
+    motion = Motion(tuple(joints), motion_stamps(table, where), *fields, body_motions)
+    return Recording(motion, Counter(), False, tuple(missing), labels, remarks, of_laboratory)
 
 
 def _samples(
@@ -112,14 +112,14 @@ def _samples(
     sliding: Collection[str] = (),
     prefers: str = MAIN,
 ) -> _Samples:
-    """Table `samples` of a result or file, and what is said of it.
+    """Read the table `samples` of a result or file.
 
     Args:
         source: Result or file.
-        may_lack: Columns of a .csv that may hold nan.
-        joints: Those that a storage may name by its own labels.
-        sliding: Those of them that slide.
-        prefers: Table that is read in place of `samples` where there is one of that name.
+        may_lack: Columns of a .csv that may contain nan.
+        joints: Joints that a laboratory file may name by its own labels.
+        sliding: Prismatic joints among them.
+        prefers: Table that is read instead of `samples` if it exists.
     """
     where = name_of(source)
     if not isinstance(source, Result):
@@ -127,11 +127,13 @@ def _samples(
         options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
         source = read_result(path, **options)
     if MAIN not in source:
-        raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
+        raise DataError(
+            f"{where}: has no table {MAIN}; its tables are: {', '.join(source) or 'none'}"
+        )
     table = source[prefers if prefers in source else MAIN]
     _check_columns(table, where, [TIME])
     if not table.rows:
-        raise DataError(f"{where}: table {MAIN} has no row")
+        raise DataError(f"{where}: table {MAIN} has no rows")
     plain = {name: column for name, column in table.items() if column.ndim == 1}
     refuse_huge(where, list(plain), *plain.values())
     if not is_storage(source):
@@ -144,17 +146,17 @@ def _samples(
 def refuse_huge(
     where: str, names: Sequence[str], *columns: Array | None, largest: float = LARGEST
 ) -> None:
-    """Refuse numbers whose products with others are no numbers any more.
+    """Refuse numbers whose products would overflow.
 
     Args:
         where: File, for the message.
-        names: Of the last axis of columns with several numbers a row, else of the columns.
-        columns: Numbers, a row a sample; those that are not finite are refused, or left out,
-            elsewhere.
-        largest: Size that is accepted.
+        names: Names along the last axis of columns with several numbers per row, otherwise names
+            of the columns.
+        columns: Numbers, one row per sample; numbers that are not finite are ignored here.
+        largest: Largest accepted size.
 
     Raises:
-        DataError: Names file, column and number.
+        DataError: A number is too large; the message names file, column and number.
     """
     for i, values in enumerate(columns):
         if values is None or values.dtype.kind != "f":
@@ -164,18 +166,20 @@ def refuse_huge(
             at = tuple(np.argwhere(huge)[0])
             name = names[at[-1]] if len(at) > 1 else names[i]
             raise DataError(
-                f"{where}: {name} is {values[at]:g} in row {at[0] + 1}, accepted are sizes up to "
-                f"{largest:g}"
+                f"{where}: {name} is {values[at]:g} in row {at[0] + 1}, but its size must be at "
+                f"most {largest:g}"
             )
 
 
 class _Samples(NamedTuple):
-    """What is read of a source.
+    """Table `samples` of a source.
 
     Attributes:
-        unused: Labels of a storage that are of no joint; None of other sources.
-        remarks: What is odd about a storage.
-        of_laboratory: As of a `Recording`.
+        table: The table.
+        where: Name of the source, for messages.
+        unused: Labels of a laboratory file that belong to no joint; None for other sources.
+        remarks: Remarks on irregularities of a laboratory file.
+        of_laboratory: Whether the source is a laboratory file, or computed from markers.
     """
 
     table: Table
@@ -186,11 +190,11 @@ class _Samples(NamedTuple):
 
 
 def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
-    """Raise DataError that lists the columns of numbers a table lacks, and those it has."""
-    lacking = [name for name in names if not _is_plain(table, name)]
-    if lacking:
-        there = ", ".join(name for name in table if _is_plain(table, name))
-        raise DataError(f"{where}: no column {', '.join(lacking)}; there are: {there}")
+    """Raise a DataError if columns of numbers are missing."""
+    missing = [name for name in names if not _is_plain(table, name)]
+    if missing:
+        existing = ", ".join(name for name in table if _is_plain(table, name))
+        raise DataError(f"{where}: no column {', '.join(missing)}; there are: {existing}")
 
 
 def _is_plain(table: Table, name: str) -> bool:
@@ -202,46 +206,46 @@ def _constant(table: Table, joint: str, position: float) -> Column:
 
 
 def _columns(table: Table, names: list[str]) -> Array | None:
-    """The named columns, NaN where the table has none; None where it has none of them."""
-    there = [name for name in names if _is_plain(table, name)]
-    if not there:
+    """Return the named columns, NaN for missing ones, or None if all are missing."""
+    existing = [name for name in names if _is_plain(table, name)]
+    if not existing:
         return None
     values = np.full((table.rows, len(names)), np.nan)
-    for name in there:
+    for name in existing:
         values[:, names.index(name)] = table[name]
     return values
 
 
 def _body(table: Table, where: str, name: str) -> BodyMotion:
-    """Motion of a free body; its pose is there."""
+    """Return the motion of a free body, whose pose columns have been checked."""
     pose, twist, acceleration = (
-        _columns(table, names_of(name, words)) for words in (POSE, TWIST, ACCELERATION)
+        _columns(table, names_of(name, fields)) for fields in (POSE, TWIST, ACCELERATION)
     )
     assert pose is not None
     with np.errstate(over="ignore"):
         length = np.linalg.norm(pose[:, 3:], axis=1)
-    lost = np.flatnonzero(~(np.abs(length - 1.0) <= OFF_UNIT))
-    if len(lost):
+    invalid = np.flatnonzero(~(np.abs(length - 1.0) <= OFF_UNIT))
+    if len(invalid):
         raise DataError(
-            f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s has the length "
-            f"{length[lost[0]]:.3g}, a quaternion has 1"
+            f"{where}: {name}.orientation at {table[TIME][invalid[0]]:.9g} s has the length "
+            f"{length[invalid[0]]:.3g}, but a unit quaternion has 1"
         )
-    return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
+    return BodyMotion(name, with_continuous_signs(pose), twist, acceleration)
 
 
 def read_columns(
     source: Source, names: Sequence[str], joints: Sequence[str] = (), sliding: Collection[str] = ()
 ) -> Array | None:
-    """Columns of the samples by name, shape (n, len(names)), NaN where there is none.
+    """Read columns of the samples by name, shape (n, len(names)), NaN for missing columns.
 
     Args:
-        source: As for `read_motion`.
-        names: Of the columns.
-        joints: Those that a storage may name by its own labels.
-        sliding: Those of them that slide.
+        source: Result, file or bag.
+        names: Names of the columns.
+        joints: Joints that a laboratory file may name by its own labels.
+        sliding: Prismatic joints among them.
 
     Returns:
-        None where the source has none of them; a bag has none.
+        The columns, or None if the source has none of them; a bag has none.
     """
     if not names or (not isinstance(source, Result) and is_bag(source)):
         return None
@@ -251,30 +255,31 @@ def read_columns(
 def read_wrenches(
     source: Source, names: Mapping[str, str | None], *, dropped: Counter[str] | None = None
 ) -> dict[str, WrenchSamples]:
-    """Measured wrench of every load, about the origin of the frame it is given in.
+    """Read the measured wrench of every load, about the origin of its frame.
 
-    In a table, columns `<name>.point.{x,y,z}` make the force act there: the torque about the
-    origin is torque + point x force. A point may be `nan`, which counts where there is force.
+    In a table, columns `<name>.point.{x,y,z}` are the point of application: the torque about the
+    origin is torque + point x force. A point may be `nan` where the force is 0.
 
     Args:
         source: A result, or a file of one, with columns `<name>.force.{x,y,z}` [N],
             `<name>.torque.{x,y,z}` [N·m], and perhaps `<name>.point.{x,y,z}` [m]; or a bag.
-        names: Loads, each with its WrenchStamped topic, which only a bag needs.
-        dropped: Messages of a bag that are left out are counted here by reason: not finite, or
-            not newer than all before them.
+        names: Loads -> WrenchStamped topic, which only a bag needs.
+        dropped: Counts the messages of a bag that are left out, by reason: not finite, or not
+            newer than all before.
 
     Raises:
-        DataError: A file that cannot be read, a missing column or topic, or nothing usable on it.
+        DataError: The file cannot be read, a column or topic is missing, or no message can be
+            used.
     """
     if not names:
         return {}
     if not isinstance(source, Result) and is_bag(source):
         from mbd_ros.files.bags.bag_recordings import bag_wrenches
 
-        found = bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
-        for name, samples in found.items():
+        wrenches = bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
+        for name, samples in wrenches.items():
             refuse_huge(str(source), [f"wrench {name}"] * 6, samples.wrench)
-        return found
+        return wrenches
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
     table, where, *_ = _samples(source, points, prefers=_WRENCHES)
     stamps = motion_stamps(table, where)
@@ -291,65 +296,68 @@ def _wrench(table: Table, where: str, name: str) -> Array:
     if len(fields) == 2:
         return values
     force, torque, point = values[:, :3], values[:, 3:6], values[:, 6:]
-    pushed = (force != 0).any(axis=1)
-    torque[pushed] += np.cross(point[pushed], force[pushed])
+    is_loaded = (force != 0).any(axis=1)
+    torque[is_loaded] += np.cross(point[is_loaded], force[is_loaded])
     return values[:, :6]
 
 
 def name_of(source: Source) -> str:
-    """What messages call a source."""
+    """Return the name of a source for messages."""
     return _IN_MEMORY if isinstance(source, Result) else str(source)
 
 
 def read_capture(source: Source, unit: str | None = None) -> Capture:
-    """Markers of a file or result.
+    """Read the markers of a file or result.
 
     Columns are `<label>.x`, `.y`, `.z`, or `<label>.position_x` as simulations write them, or
-    `<label>` with three numbers a row.
+    `<label>` with three numbers per row.
 
     Args:
         source: A result, or a file of one.
-        unit: Of the places: m, mm or cm; None for that of the columns, m where they have none.
+        unit: Unit of the positions: m, mm or cm; by default that of the columns, or m.
 
     Raises:
-        DataError: A file that cannot be read, no markers in it, or places that are no metres.
+        DataError: The file cannot be read, has no markers, or its positions are not in metres.
     """
     where = name_of(source)
     if unit is not None and unit not in UNITS:
         raise DataError(f"{where}: unknown unit '{unit}', accepted: {', '.join(UNITS)}")
     if not isinstance(source, Result):
         if is_bag(source):
-            raise DataError(f"{where}: a bag holds no markers here; accepted: tables of markers")
+            raise DataError(f"{where}: markers in a bag are not accepted; use a table of markers")
         source = read_result(source)
     if MAIN not in source or TIME not in source[MAIN]:
         raise DataError(f"{where}: no table {MAIN} with a column {TIME}")
     table = source[MAIN]
-    found = _markers(table)
-    if not found:
+    markers = _markers(table)
+    if not markers:
         raise DataError(
             f"{where}: no markers; accepted are columns <label>.x, .y and .z, there are: "
             f"{', '.join(list(table)[:8])}"
         )
-    places = np.stack([np.asarray(p, dtype=np.float64) for p, _ in found.values()], axis=1)
-    told = next((told for _, told in found.values() if told), "")
-    if unit and told and unit != told:
-        raise DataError(f"{where}: markers are in {told} there, not in {unit}: leave the unit out")
-    scales = [UNITS[unit or told or "m"] for _, told in found.values()]
+    places = np.stack([np.asarray(p, dtype=np.float64) for p, _ in markers.values()], axis=1)
+    file_unit = next((column_unit for _, column_unit in markers.values() if column_unit), "")
+    if unit and file_unit and unit != file_unit:
+        raise DataError(
+            f"{where}: markers are in {file_unit} according to the file, not in {unit}; leave the "
+            "unit out"
+        )
+    scales = [UNITS[unit or column_unit or "m"] for _, column_unit in markers.values()]
     places = places * np.array(scales)[:, None]
-    refuse_huge(where, [*found], *places.swapaxes(0, 1))
+    refuse_huge(where, [*markers], *places.swapaxes(0, 1))
     times = np.asarray(table[TIME], dtype=np.float64)
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
         raise DataError(f"{where}: column {TIME}: must be finite and increase from row to row")
-    _refuse_far(where, tuple(found), places, times)
-    return Capture(where, tuple(found), times, places, tuple(source.metadata.get(SCREEN, ())))
+    _refuse_millimetres(where, tuple(markers), places, times)
+    return Capture(where, tuple(markers), times, places, tuple(source.metadata.get(SCREEN, ())))
 
 
 def _markers(table: Table) -> dict[str, tuple[Array, str]]:
-    """Label -> places and their unit, in the order of the columns."""
-    found: dict[str, tuple[Array, str]] = {}
+    """Return label -> positions and their unit, in the order of the columns."""
+    markers: dict[str, tuple[Array, str]] = {}
     for column in table.columns:
         if column.values.ndim == 2 and column.values.shape[1] == len(_AXES):
-            found[column.name] = column.values, _unit(column.unit)
+            markers[column.name] = column.values, _unit(column.unit)
             continue
         for ending in _ENDINGS:
             first = ending.format(_AXES[0])
@@ -358,17 +366,17 @@ def _markers(table: Table) -> dict[str, tuple[Array, str]]:
             if column.name.endswith(first) and label and all(name in table for name in names):
                 if all(table[name].ndim == 1 for name in names):
                     places = np.column_stack([table[name] for name in names])
-                    found.setdefault(label, (places, _unit(column.unit)))
+                    markers.setdefault(label, (places, _unit(column.unit)))
                 break
-    return found
+    return markers
 
 
-def _unit(told: str) -> str:
-    return told if told in UNITS else ""
+def _unit(text: str) -> str:
+    return text if text in UNITS else ""
 
 
-def _refuse_far(where: str, labels: Sequence[str], places: Array, times: Array) -> None:
-    """Refuse places that are millimetres."""
+def _refuse_millimetres(where: str, labels: Sequence[str], places: Array, times: Array) -> None:
+    """Refuse positions that look like millimetres."""
     with np.errstate(invalid="ignore"):
         apart = np.nanmax(places, axis=1, initial=-np.inf, where=np.isfinite(places))
         apart = apart - np.nanmin(places, axis=1, initial=np.inf, where=np.isfinite(places))
@@ -377,7 +385,7 @@ def _refuse_far(where: str, labels: Sequence[str], places: Array, times: Array) 
     if np.median(apart) > _FAR:
         raise DataError(
             f"{where}: markers are {apart[at]:.4g} m apart at t = {times[at]:.9g} s, which looks "
-            f"like millimetres ({len(labels)} markers): say --unit mm"
+            f"like millimetres ({len(labels)} markers); give --unit mm"
         )
 
 
@@ -386,11 +394,11 @@ class Capture(NamedTuple):
 
     Attributes:
         where: File, for messages.
-        labels: Of the markers.
-        times: [s], increasing, shape (N,).
-        places: In the world [m], NaN where one was not seen, shape (N, n, 3).
-        screen: Recorded axes to the right and upwards on a screen, as `+X`, `+Z`; empty where the
-            recording does not say them.
+        labels: Labels of the markers.
+        times: Times [s], increasing, shape (N,).
+        places: Positions in the world [m], NaN where a marker was not seen, shape (N, n, 3).
+        screen: Recorded axes that point to the right and upwards on a screen, such as `+X`, `+Z`;
+            empty if the recording does not state them.
     """
 
     where: str
@@ -400,10 +408,10 @@ class Capture(NamedTuple):
     screen: tuple[str, ...] = ()
 
     def between(self, begin: float | None, end: float | None) -> Capture:
-        """The frames of a range of times.
+        """Return the frames of a range of times.
 
         Raises:
-            DataError: There is none in it.
+            DataError: The range contains no frame.
         """
         low, high = (-np.inf if begin is None else begin), (np.inf if end is None else end)
         inside = (self.times >= low - 1e-9) & (self.times <= high + 1e-9)
@@ -418,18 +426,19 @@ class Capture(NamedTuple):
 def metadata_of(
     job: str, scene: Scene, inputs: Mapping[str, Any], topics: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Metadata of a result.
+    """Return the metadata of a result.
 
     Args:
         job: Name of the command.
-        inputs: What the job was asked for; files by their names, None is left out.
+        scene: The scene.
+        inputs: Arguments of the job; files are recorded by name, and None is left out.
         topics: Topics of a bag, see `bag_streams`.
     """
-    given = {key: _plain(value) for key, value in inputs.items() if value is not None}
+    recorded = {key: _plain(value) for key, value in inputs.items() if value is not None}
     return {
         "job": job,
         "scene": scene.name,
-        "inputs": given,
+        "inputs": recorded,
         "versions": dict(_versions()),
         "topics": dict(topics),
     }
@@ -445,10 +454,10 @@ def _plain(value: Any) -> Any:
 def _versions() -> tuple[tuple[str, str], ...]:
     from importlib.metadata import PackageNotFoundError, version  # only where a result is made
 
-    found = [("python", platform.python_version())]
+    versions = [("python", platform.python_version())]
     for package, name in (("mbd_ros", "mbd_ros"), ("pinocchio", "pin"), ("numpy", "numpy")):
         try:
-            found.append((package, version(name)))
-        except PackageNotFoundError:  # colcon and conda install without what pip knows
-            found.append((package, "unknown"))
-    return tuple(found)
+            versions.append((package, version(name)))
+        except PackageNotFoundError:  # colcon and conda install without metadata of pip
+            versions.append((package, "unknown"))
+    return tuple(versions)

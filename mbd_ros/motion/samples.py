@@ -1,4 +1,4 @@
-"""Samples that inverse dynamics is asked at, with joints that loops close."""
+"""Read a recorded motion with its loads, and complete joints that closed loops determine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.recording import Recording
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, progress
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.inverse_dynamics.loop_motion import LoopMotion, Mask
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, TorqueEstimator, Tuning
 from mbd_ros.motion.derivatives import OPENSIM, Derivatives, differentiate
@@ -30,29 +30,34 @@ if TYPE_CHECKING:
     from mbd_ros.motion.external_loads import ExternalLoads
     from mbd_ros.motion.stance import StanceTask
 
-_NEAR = 0.01  # steps of the motion: times that were resampled are a little off
+_TIME_TOLERANCE = 0.01  # of the time step, since times of resampled motions are rounded
 
 
 class Task(NamedTuple):
-    """What is asked for.
+    """A recorded motion, and the options of inverse dynamics.
 
     Attributes:
-        motion: Result, file or bag.
-        derivatives: Where velocity and acceleration come from.
-        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        motion: Result, file or bag with the motion.
+        derivatives: Source of velocities and accelerations.
+        wrenches: Table or bag of the external loads of the scene. A bag that holds the motion
+            holds its loads, too.
         topic: JointState topic of a bag.
-        parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
-            be out of reach of the actuators.
-        bounds: Keep the bounds of efforts and multipliers.
-        external: External loads of a laboratory (.xml), in place of `wrenches`.
-        time_range: First and last time of the samples that are solved [s]; None for all.
-        power: Also give powers and their balance.
-        stance: Forces of contacts that nobody measured are unknowns; None for none of them.
-        wrench_axes: Recorded axis of `wrenches` along each axis of the scene; None: the same.
+        parts: Also compute the torques by cause: gravity, coriolis, inertial and external. Scenes
+            with loops refuse it, since a cause alone may be out of reach of the actuators.
+        bounds: Keep efforts within the limits of actuators, and forces of stops, dry friction and
+            limited drives within their laws.
+        external: External loads of OpenSim (.xml with its .mot), in place of those of the scene.
+        time_range: First and last time that is solved [s]. Derivatives still come from the whole
+            motion.
+        power: Also compute the powers of joints, parts and segments, and their balance.
+        stance: How unmeasured forces of contacts are found; None takes 0 for them.
+        wrench_axes: Recorded axis along each axis of the scene, such as `x,z,-y`, for the loads
+            of `wrenches`; `screen` takes them from X_SCREEN and Y_SCREEN of a .c3d. By default
+            the axes are the same.
     """
 
     motion: Source
-    derivatives: Derivatives = Derivatives("given")
+    derivatives: Derivatives = Derivatives()
     wrenches: Source | None = None
     topic: str = "/joint_states"
     parts: bool = False
@@ -67,7 +72,7 @@ class Task(NamedTuple):
 def observe_motion(
     scene: Scene, task: Task, say: Say, external: ExternalLoads | None = None
 ) -> Observed:
-    """Read a motion and its loads, and give it derivatives."""
+    """Read a motion and its loads, and compute its derivatives."""
     where, derivatives = name_of(task.motion), task.derivatives
     solver = scene.inverse_dynamics()
     with about("--cutoff"):
@@ -82,7 +87,9 @@ def observe_motion(
         derivatives = derivatives._replace(source="zero-phase" if motion.bodies else OPENSIM)
         say(f"positions alone: {derivatives.source} derivatives")
     if derivatives.source == "causal":
-        with np.errstate(over="ignore", invalid="ignore"):  # the results are looked at
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # samples that are not finite are reported later
             samples, cutoff = observe(estimator, motion, dropped), None
         remarks = [causal_line(estimator.differentiator, derivatives.causal_cutoff)]
     else:
@@ -104,29 +111,29 @@ def observe_motion(
 def _within(
     where: str, samples: Observations, time_range: tuple[float, float] | None
 ) -> Observations:
-    """The samples of a time, those at its ends among them."""
+    """Return the samples within a time range, including those at its ends."""
     if time_range is None:
         return samples
     times = samples.stamps * NANOSECOND
-    margin = _NEAR * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    margin = _TIME_TOLERANCE * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     inside = (times >= time_range[0] - margin) & (times <= time_range[1] + margin)
     if not inside.any():
         raise DataError(
-            f"{where}: --time-range {time_range[0]:g} {time_range[1]:g}: no sample is there, the "
+            f"{where}: --time-range {time_range[0]:g} {time_range[1]:g} contains no sample; the "
             f"motion is at {times[0]:.6g} to {times[-1]:.6g} s"
         )
     return Observations(*(field[inside] for field in samples))
 
 
 class Observed(NamedTuple):
-    """What is solved.
+    """A recorded motion, prepared for inverse dynamics.
 
     Attributes:
-        motion: As it was read.
-        samples: Of the independent joints, with derivatives.
+        motion: The motion as it was read.
+        samples: Samples of the independent joints, with derivatives.
         wrenches: One (n, 6) array for every load of the scene.
-        cutoff: Of the low-pass of each joint [Hz]; None without one.
-        derivatives: Where velocity and acceleration came from.
+        cutoff: Cutoff frequency of the low-pass filter of each joint [Hz]; None without filter.
+        derivatives: Source of velocity and acceleration.
     """
 
     motion: Motion
@@ -139,7 +146,7 @@ class Observed(NamedTuple):
 def read_recording(
     scene: Scene, task: Task, names: Sequence[str], needed: Sequence[str], say: Say
 ) -> Recording:
-    """The motion, with what loops give of it."""
+    """Read the motion and complete the joints that loops determine."""
     where = name_of(task.motion)
     bodies = {base.name: base.frame for base in scene.robot.bases}
     recording = read_motion(
@@ -149,7 +156,7 @@ def read_recording(
         required=needed,
         bodies=bodies,
         members=scene.robot.members,
-        sliding=scene.robot.sliding,
+        sliding=scene.robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[scene.robot.joint(name).q]),
     )
     for text in _storage_lines(where, recording, scene.robot.locked):
@@ -160,97 +167,98 @@ def read_recording(
     for reason, count in recording.dropped.items():
         say(f"{where}: {count} messages left out: {reason}")
     if recording.by_log_time:
-        say(f"{where}: stamps are 0, the times of the log are used")
+        say(f"{where}: stamps are 0, so the times of the log are used")
     return recording
 
 
 def _storage_lines(where: str, recording: Recording, locked: Mapping[str, float]) -> Iterator[str]:
-    """What a storage of a laboratory has besides joints, and which of them it lacks."""
+    """Yield remarks on a laboratory file: columns that are not used, and joints without column."""
     motion = recording.motion
     yield from (f"{where}: {text}" for text in recording.remarks)
     if recording.assumed:
         start = [motion.position[0, motion.names.index(name)] for name in recording.assumed]
-        there = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
-        said = f"{where}: no column of some joints, they stay where the scene starts"
-        yield f"{said}: {', '.join(there)}"
+        positions = [f"{n} = {q:.6g}" for n, q in zip(recording.assumed, start, strict=True)]
+        remark = f"{where}: some joints have no column and stay at their initial position"
+        yield f"{remark}: {', '.join(positions)}"
     unused = recording.unused or ()
-    if held := [label for label in unused if label in locked]:
-        yield f"{where}: columns of joints that the model locks, not used: {listed(held)}"
+    if of_locked := [label for label in unused if label in locked]:
+        yield f"{where}: columns of locked joints, not used: {join_names(of_locked)}"
     if others := [label for label in unused if label not in locked]:
-        yield f"{where}: columns of no joint, not used: {listed(others)}"
+        yield f"{where}: columns of no joint, not used: {join_names(others)}"
 
 
 def loads_of_laboratory(scene: Scene, task: Task) -> ExternalLoads | None:
-    """The external loads that a motion names, and the scene that carries them; None without.
+    """Return the OpenSim external loads of a task, and the scene with these loads; None if none.
 
     Raises:
-        DataError: As `ExternalLoads`, or wrenches beside them.
+        DataError: The loads cannot be used, or the task names wrenches too.
     """
     if task.external is None:
         return None
     if task.wrenches is not None:
-        raise DataError(f"--external {task.external}: --wrenches gives the loads already")
+        raise DataError(f"--external {task.external} is not accepted together with --wrenches")
     if task.wrench_axes is not None:
-        raise DataError(f"--external {task.external}: --wrench-axes turns --wrenches alone")
+        raise DataError(f"--external {task.external} is not accepted together with --wrench-axes")
     from mbd_ros.motion.external_loads import ExternalLoads  # reads XML, loads scipy
 
     return ExternalLoads(scene, task.external)
 
 
 def close_loops(scene: Scene, where: str, recording: Recording) -> tuple[Recording, list[str]]:
-    """A motion in which the loops have given the independent joints that nobody measured.
+    """Reconstruct independent joints that were not measured from the closed loops.
 
-    Their branch is that of the initial state of the scene, followed from sample to sample.
+    The branch of the loops is that of the initial state of the scene, followed from sample to
+    sample.
 
     Args:
-        scene: The scene; one without loops has all independent joints measured.
-        where: Source of the motion, for the messages.
+        scene: The scene; without loops all independent joints must be measured.
+        where: Source of the motion, for messages.
         recording: Motion of the independent, then the dependent joints, NaN where absent.
 
     Returns:
         The motion, and remarks.
 
     Raises:
-        DataError: The motion lacks a joint that no loop ties to the others.
+        DataError: A joint was not measured, and no loop determines it from the others.
         SolveError: The initial state cannot be assembled.
     """
     names = scene.couplings.independent
     if not names:
         return recording, []
     position = recording.motion.position[:, : len(names)]
-    is_there = np.isfinite(position).any(axis=0)
-    if not is_there.any():
-        raise DataError(f"{where}: no position of any of {', '.join(names)}")
-    whole = np.isfinite(position[:, is_there]).all(axis=1)
-    if not whole.any():
-        raise DataError(f"{where}: no sample has all of its joints")
-    if not whole.all():
-        recording.dropped["the position of a joint is missing"] += int((~whole).sum())
-    motion = recording.motion if whole.all() else kept_rows(recording.motion, whole)
-    if is_there.all():
+    is_measured = np.isfinite(position).any(axis=0)
+    if not is_measured.any():
+        raise DataError(f"{where}: has no position of any of {', '.join(names)}")
+    complete = np.isfinite(position[:, is_measured]).all(axis=1)
+    if not complete.any():
+        raise DataError(f"{where}: no sample has positions of all measured joints")
+    if not complete.all():
+        recording.dropped["the position of a joint is missing"] += int((~complete).sum())
+    motion = recording.motion if complete.all() else select_rows(recording.motion, complete)
+    if is_measured.all():
         return recording._replace(motion=motion), []
     joints = [scene.robot.joint(name) for name in names]
-    motion, fold = _completed(scene, where, motion, joints, is_there)
-    lacking = [name for name, there in zip(names, is_there, strict=True) if not there]
-    said = [f"{name} is reconstructed from the loops" for name in lacking]
-    return recording._replace(motion=motion), said + fold
+    motion, warnings = _complete_joints(scene, where, motion, joints, is_measured)
+    missing = [name for name, known in zip(names, is_measured, strict=True) if not known]
+    remarks = [f"{name} is reconstructed from the loops" for name in missing]
+    return recording._replace(motion=motion), remarks + warnings
 
 
-def _completed(
-    scene: Scene, where: str, motion: Motion, joints: Sequence[Joint], is_there: Mask
+def _complete_joints(
+    scene: Scene, where: str, motion: Motion, joints: Sequence[Joint], is_measured: Mask
 ) -> tuple[Motion, list[str]]:
-    """The motion with the independent joints that lack in it, and where its loops fold."""
+    """Return the motion of all independent joints, and a warning if the loops fold."""
     loops, robot, n = scene.closed_loop().motion, scene.robot, len(joints)
     measured = np.zeros(robot.model.nv, dtype=np.bool_)
-    measured[[joint.v for joint, there in zip(joints, is_there, strict=True) if there]] = True
+    measured[[joint.v for joint, known in zip(joints, is_measured, strict=True) if known]] = True
     measured[robot.base_v] = True
-    fields, places = _fields(robot, motion, joints)
-    turning = [joint.q for joint in joints if joint.kind == "continuous" and measured[joint.v]]
-    fields[0][:, turning] = np.unwrap(fields[0][:, turning], axis=0)
-    before, conditions = loops.start(scene.initial), []
+    fields, indices = _fields(robot, motion, joints)
+    angles = [joint.q for joint in joints if joint.kind == "continuous" and measured[joint.v]]
+    fields[0][:, angles] = np.unwrap(fields[0][:, angles], axis=0)
+    before, conditions = loops.assemble(scene.initial), []
     rows = zip(motion.stamps.tolist(), *fields, strict=True)
     for i, (stamp, q, v, a) in enumerate(progress(rows, len(motion.stamps), "closing")):
-        x, a, condition = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
+        x, a, condition = loops.close_loops(before, State(stamp * NANOSECOND, q, v), a, measured)
         if i == 0:
             _check_tied(where, loops, x, measured)
         before = x.q
@@ -259,22 +267,22 @@ def _completed(
             field[i] = values
     dependent = motion.position[:, n:]
     columns = [
-        np.concatenate((field[:, at], other), axis=1)
-        for field, at, other in zip(
-            fields, places, (dependent, *[dependent * np.nan] * 2), strict=True
+        np.concatenate((field[:, index], other), axis=1)
+        for field, index, other in zip(
+            fields, indices, (dependent, *[dependent * np.nan] * 2), strict=True
         )
     ]
-    for i, given in ((1, motion.velocity), (2, motion.acceleration)):
-        if given is None:
+    for i, recorded in ((1, motion.velocity), (2, motion.acceleration)):
+        if recorded is None:
             columns[i] = None
-    whole = motion._replace(**dict(zip(motion._fields[2:5], columns, strict=True)))
-    return whole, _folds(motion, conditions)
+    completed = motion._replace(**dict(zip(motion._fields[2:5], columns, strict=True)))
+    return completed, _fold_warnings(motion, conditions)
 
 
 def _fields(
     robot: Robot, motion: Motion, joints: Sequence[Joint]
 ) -> tuple[tuple[Array, Array, Array], tuple[list[int], ...]]:
-    """q, v and a of all coordinates, NaN where unknown, and where the joints stand in them."""
+    """Return q, v and a of all coordinates, NaN where unknown, and the indices of the joints."""
     n, nq, nv = len(motion.stamps), robot.model.nq, robot.model.nv
     q, v, a = np.full((n, nq), np.nan), np.full((n, nv), np.nan), np.full((n, nv), np.nan)
     at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
@@ -290,34 +298,34 @@ def _fields(
 
 
 def _check_tied(where: str, loops: LoopMotion, x: State, measured: Mask) -> None:
-    loose = loops.undetermined(x, measured)
-    if loose:
+    undetermined = loops.undetermined(x, measured)
+    if undetermined:
         raise DataError(
-            f"{where}: no position of {', '.join(loose)}, and no loop gives it from the joints "
-            "that are there"
+            f"{where}: has no position of {', '.join(undetermined)}, and no loop determines it "
+            "from the measured joints"
         )
 
 
-def _folds(motion: Motion, conditions: Sequence[float]) -> list[str]:
+def _fold_warnings(motion: Motion, conditions: Sequence[float]) -> list[str]:
     worst = int(np.argmax(conditions))
     if conditions[worst] <= FOLD:
         return []
     return [
         f"the loops fold near {motion.stamps[worst] * NANOSECOND:.9g} s (condition number "
-        f"{conditions[worst]:.2g}): from there on what is reconstructed may be on another branch; "
-        "another joint should be measured"
+        f"{conditions[worst]:.2g}), so reconstructed joints may be on another branch from there "
+        "on; measure another joint"
     ]
 
 
-def kept_rows(motion: Motion, rows: Mask | slice) -> Motion:
-    """Some samples of a motion."""
+def select_rows(motion: Motion, rows: Mask | slice) -> Motion:
+    """Return some samples of a motion."""
     return motion._replace(
         **_rows(motion, rows, {"names", "bodies"}),
         bodies=tuple(body._replace(**_rows(body, rows, {"name"})) for body in motion.bodies),
     )
 
 
-def _rows(whole: Motion | BodyMotion, rows: Mask | slice, others: set[str]) -> dict[str, Any]:
-    """Some rows of all fields but others."""
-    fields = whole._asdict().items()
-    return {f: None if v is None else v[rows] for f, v in fields if f not in others}
+def _rows(motion: Motion | BodyMotion, rows: Mask | slice, excluded: set[str]) -> dict[str, Any]:
+    """Return some rows of all fields, except those excluded."""
+    fields = motion._asdict().items()
+    return {f: None if v is None else v[rows] for f, v in fields if f not in excluded}

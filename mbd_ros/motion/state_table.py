@@ -1,4 +1,4 @@
-"""States of a simulation as a table: motion, efforts, multipliers, energy, violations."""
+"""Table of a simulation: motion, efforts, multipliers, energy and constraint violations."""
 
 import itertools
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import TIME, Column, Table
 from mbd_ros.methods.projection.assembly import violation
-from mbd_ros.methods.simulation.shown_accelerations import Seen, seen_at
+from mbd_ros.methods.simulation.sample_accelerations import SampleAccelerations, accelerations_at
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.columns import (
     body_columns,
@@ -27,8 +27,8 @@ from mbd_ros.motion.columns import (
     whole_bodies,
 )
 
-PHASE = "phase"  # its number, in the order of the scene
-BALANCE = {  # column -> what messages call it, unit
+PHASE = "phase"  # column with the index of the phase in the scene
+BALANCE = {  # column -> name in messages, unit
     "energy": ("energy", "J"),
     "drift.position": ("position drift", "rad or m"),
     "drift.velocity": ("velocity drift", "rad/s or m/s"),
@@ -36,7 +36,7 @@ BALANCE = {  # column -> what messages call it, unit
 
 
 def topics_of(system: System) -> dict[str, Any]:
-    """Topics of a bag, see `files.bags.bag_writer`."""
+    """Return the topics of a bag, see `files.bags.bag_writer`."""
     return {
         **state_topics(system.robot, ("position", "velocity", "effort")),
         **body_topics(system.robot),
@@ -51,13 +51,16 @@ def table_of(
     forces: Sequence[Array | None] = (),
     sensors: Sequence[Part] = (),
 ) -> tuple[Table, list[str], MbdError | None]:
-    """A row a state, up to the first one without a finite answer, remarks, and why it ends there.
+    """Return a table with one row per state, up to the first state that is not finite.
 
     Args:
-        simulation: What was simulated.
+        simulation: The simulation.
         states: States of all joints.
-        forces: `Stepper.forces` at each; none without contacts in steps of velocities.
-        sensors: Parts that have no influence on the motion and show something.
+        forces: `Stepper.forces` at each state; empty without contacts in time-stepping methods.
+        sensors: Parts with outputs, but without influence on the motion.
+
+    Returns:
+        The table, remarks, and the error at which it ends, or None.
     """
     rows, system, means = [], simulation.system, list[float]()
     loads = system.loads
@@ -66,7 +69,7 @@ def table_of(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for x, known in itertools.zip_longest(states, forces):
-                seen = seen_at(simulation, x, None, known)
+                seen = accelerations_at(simulation, x, None, known)
                 rows.append(_row(system, showing, x, seen))
                 means += [x.t] * seen.is_mean
     except SolveError as error:
@@ -98,7 +101,7 @@ def table_of(
 
 
 def _remarks(means: Sequence[float]) -> list[str]:
-    """A line on samples without accelerations, by their times [s]."""
+    """Return a remark on samples without accelerations, from their times [s]."""
     if not means:
         return []
     return [
@@ -108,23 +111,25 @@ def _remarks(means: Sequence[float]) -> list[str]:
 
 
 def _finite_rows(table: Table) -> tuple[int, DivergedError | None]:
-    """Number of samples before the first that is not finite, and the fault of that one."""
-    found = []
+    """Return the number of finite samples, and the error of the first other one, or None."""
+    faults = []
     for name, values in table.items():
         rows = np.flatnonzero(~np.isfinite(values))
         if len(rows):
             joint, _, field = name.rpartition(".")
-            what = BALANCE[name][0] if name in BALANCE else f"{field} of {joint}"
-            found.append((int(rows[0]), what))
-    if not found:
+            quantity = BALANCE[name][0] if name in BALANCE else f"{field} of {joint}"
+            faults.append((int(rows[0]), quantity))
+    if not faults:
         return table.rows, None
-    row = min(found)[0]
-    what = min(what for at, what in found if at == row)
-    return row, DivergedError(f"{what} is not finite at t = {table[TIME][row]:.9g} s")
+    first_row = min(faults)[0]
+    quantity = min(quantity for row, quantity in faults if row == first_row)
+    return first_row, DivergedError(
+        f"{quantity} is not finite at t = {table[TIME][first_row]:.9g} s"
+    )
 
 
 def _commands(system: System, times: Array) -> list[Column]:
-    """Commands of actuators that do not take the torque of the joint, then excitations."""
+    """Return columns of commands that are not joint torques, then of excitations."""
     actuators = system.loads.actuators
     named = list(zip(actuators, command_names(actuators), strict=True))
     chosen = [(a, names) for a, names in named if a.takes or names != a.joints]
@@ -140,8 +145,8 @@ def _commands(system: System, times: Array) -> list[Column]:
     return [*found, *(Column(name, u[:, a.u.start], a.inputs[0].unit) for a, name in excited)]
 
 
-def _row(system: System, showing: Showing, x: State, seen: Seen) -> tuple[Any, ...]:
-    """Time, q, v, a, effort, outputs and balance of one state."""
+def _row(system: System, showing: Showing, x: State, seen: SampleAccelerations) -> tuple[Any, ...]:
+    """Return time, q, v, a, effort, outputs and balance of one state."""
     y, (a, lam, _) = system.reduce(x), seen
     balance = system.energy(y), *violation(during(system, y), y)
     effort = system.loads.actuator_torque(system.k, x, None)

@@ -9,8 +9,8 @@ from mbd_ros.nodes.table import NODES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `params` understands."""
-    parser.add_argument("node", choices=NODES, help="whose parameters are printed")
+    """Declare the arguments of `params`."""
+    parser.add_argument("node", choices=NODES, help="Node whose parameters are printed.")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""What the launch files of nodes have in common; `launch` comes with ROS, only they ask for it.
+"""Common code of the launch files; `launch` comes with ROS, and only they import it.
 
 Launch files can be included together, and an argument of one is seen by the next: what has one
 name means one thing for all of them.
@@ -60,14 +60,14 @@ def node(name: str, files: list[Any], topics: Mapping[str, Any], clock: str) -> 
         topics: Name in the node -> name or argument.
         clock: Its parameter that takes `use_sim_time`.
     """
-    own = {"scene": typed("scene", str), "autostart": typed("autostart", bool)}
+    arguments = {"scene": typed("scene", str), "autostart": typed("autostart", bool)}
     return LifecycleNode(
         package="mbd_ros",
         executable=name,
         name=name,
         namespace=LaunchConfiguration("namespace"),
         output="screen",
-        parameters=[*files, {**own, clock: typed("use_sim_time", bool)}],
+        parameters=[*files, {**arguments, clock: typed("use_sim_time", bool)}],
         remappings=list(topics.items()),
     )
 

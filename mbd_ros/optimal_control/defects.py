@@ -1,11 +1,11 @@
 """Collocation defects: the equations of a phase at points, over intervals and at their ends.
 
-The equations of motion r = 0 hold at every point, see `optimal_control.phase_equations`. Over an
+The equations of motion r = 0 of `optimal_control.phase_equations` hold at every point. Over an
 interval of width h, with points k and neighbours 0 and 1:
 
     x_j = x_0 + h sum_k A_jk x'_k,   x_1 = x_0 + h sum_k b_k x'_k + shift
 
-Rows of positions and velocities are closed again at every end: the shifts are J' times multipliers
+Rows of positions and velocities are enforced at every end: the shifts are J' times multipliers
 that vanish with the error of the method. Configurations of free bodies are x_0 (+) d with a step d
 in the tangent, whose rate is that of `core.dynamics.chart`. A and b integrate the polynomial
 through the rates at the points, x(s) = x_0 + h sum_k x'_k int l_k; `mesh.Collocation` has them.
@@ -28,27 +28,27 @@ from mbd_ros.optimal_control.sparse_program import Block, Form, Places
 
 COLLOCATION, BODIES, CLOSING, MOTION = "collocation", "bodies", "closing", "motion"  # blocks
 _BASE_Q, _BASE_V = 7, 6
-_AT_POINTS = "awul"  # what is unknown at points alone
+_AT_POINTS = "awul"  # unknowns at points only
 
 
 @cache
 def interval_defects(scheme: Collocation, *, has_shifts: bool) -> Form:
-    """One coordinate over one interval: x_0, x_k, x'_k, x_1, duration, share, and the shift."""
+    """Return the defects of a coordinate: x_0, x_k, x'_k, x_1, duration, share, and shift."""
     d = scheme.degree
     x0, x1, T, w, shift = (ca.SX.sym(name) for name in ("x0", "x1", "T", "w", "e"))
     x, rates = ca.SX.sym("x", d), ca.SX.sym("r", d)
     h = T * w
     inside = x - x0 - h * (ca.DM(scheme.A) @ rates)
     end = x1 - x0 - h * (ca.DM(scheme.b[None, :]) @ rates)
-    given = [x0, x, rates, x1, T, w]
+    arguments = [x0, x, rates, x1, T, w]
     if has_shifts:
-        end, given = end - shift, [*given, shift]
-    return Form(ca.vertcat(*given), ca.SX(0, 1), ca.vertcat(inside, end))
+        end, arguments = end - shift, [*arguments, shift]
+    return Form(ca.vertcat(*arguments), ca.SX(0, 1), ca.vertcat(inside, end))
 
 
 @cache
 def body_defects(scheme: Collocation, *, has_shifts: bool) -> Form:
-    """One free body over one interval: q_0, v_k, d_k, q_k, d_1, q_1, duration, share, shift."""
+    """Return the defects of a free body: q_0, v_k, d_k, q_k, d_1, q_1, duration, share, shift."""
     d, chart = scheme.degree, CurvedChart(BODY.model)
     q0, q1 = ca.SX.sym("q0", _BASE_Q), ca.SX.sym("q1", _BASE_Q)
     v, steps = ca.SX.sym("v", _BASE_V, d), ca.SX.sym("d", _BASE_V, d)
@@ -60,87 +60,91 @@ def body_defects(scheme: Collocation, *, has_shifts: bool) -> Form:
     end = end - shift if has_shifts else end
     poses = q - ca.horzcat(*(chart.integrate(q0, steps[:, k]) for k in range(d)))
     rows = [ca.vec(inside), ca.vec(poses), end, q1 - chart.integrate(q0, last)]
-    given = [q0, ca.vec(v), ca.vec(steps), ca.vec(q), last, q1, T, w, shift]
-    return Form(ca.vertcat(*given), ca.SX(0, 1), ca.vertcat(*rows))
+    arguments = [q0, ca.vec(v), ca.vec(steps), ca.vec(q), last, q1, T, w, shift]
+    return Form(ca.vertcat(*arguments), ca.SX(0, 1), ca.vertcat(*rows))
 
 
 class PhaseForms:
-    """Defects of a phase, and forms of other expressions at its points and nodes.
+    """Collocation defects of a phase, and forms of other expressions at its points and nodes.
 
-    Forms are made once for all meshes.
+    Forms are built once for all meshes.
 
     Args:
-        parameters: Numbers of the parameters among the unknowns.
+        phase: Equations of the phase.
+        parameters: Indices of the parameters among the unknowns.
     """
 
     def __init__(self, phase: PhaseEquations, parameters: Numbers) -> None:
-        self.phase, self._p = phase, parameters
+        self.phase = phase
+        self._p = parameters
         self.begin, self.duration, self.share = (ca.SX.sym(name) for name in ("b", "T", "s"))
         self._time = self.begin + self.duration * self.share
         self._dynamics = self.point_form(phase.residual)
 
     def blocks(self, unknowns: Unknowns, sizes: Array, rows: Array) -> list[Block]:
-        """All equations of motion on a mesh.
+        """Return all equations of motion on a mesh.
 
         Args:
-            unknowns: Where the unknowns stand.
-            sizes: Their usual sizes.
-            rows: Usual sizes of the equations at a point.
+            unknowns: Indices of the unknowns.
+            sizes: Characteristic sizes of the unknowns.
+            rows: Characteristic sizes of the equations at a point.
         """
-        found = [self._points(unknowns, rows), *self._intervals(unknowns, sizes)]
-        found += self._curved(unknowns)
+        blocks = [self._points(unknowns, rows), *self._intervals(unknowns, sizes)]
+        blocks += self._curved(unknowns)
         if self.phase.sizes.m:
-            found += self._closed(unknowns)
-        return found
+            blocks += self._closed(unknowns)
+        return blocks
 
     def point_form(self, rows: Any, cost: Any = None, data: Any = None, more: Any = None) -> Form:
-        """A form of expressions of `PhaseEquations.symbols` at points.
+        """Return a form of expressions of `PhaseEquations.symbols` at points.
 
         Args:
-            cost: Its cost; None for nothing.
-            data: Symbols of what is known at a point, besides its share of the duration.
+            rows: Expressions of the rows.
+            cost: Expression of the cost; None for none.
+            data: Symbols of data at a point, besides its share of the duration.
             more: Symbols of unknowns besides those of `point_places`.
         """
         symbols = self.phase.symbols
-        given = [*(symbols[key] for key in LETTERS), self.begin, self.duration, symbols["p"]]
-        given += [] if more is None else [more]
-        known = self.share if data is None else ca.vertcat(self.share, data)
-        return self._form(ca.vertcat(*given), known, rows, cost)
+        unknowns = [*(symbols[key] for key in LETTERS), self.begin, self.duration, symbols["p"]]
+        unknowns += [] if more is None else [more]
+        all_data = self.share if data is None else ca.vertcat(self.share, data)
+        return self._form(ca.vertcat(*unknowns), all_data, rows, cost)
 
     def point_places(self, unknowns: Unknowns) -> Places:
-        """Unknowns of a form at points, shape (.., m)."""
+        """Return the indices of the unknowns of a form at points, shape (.., m)."""
         m = len(unknowns.points["q"])
         shared = [unknowns.begin, unknowns.duration, *self._p]
-        own = np.hstack([unknowns.points[key] for key in LETTERS])
-        return np.vstack((own.T, np.repeat(np.array(shared)[:, None], m, axis=1)))
+        point_places = np.hstack([unknowns.points[key] for key in LETTERS])
+        return np.vstack((point_places.T, np.repeat(np.array(shared)[:, None], m, axis=1)))
 
     def node_form(self, rows: Any, cost: Any = None, more: Any = None) -> Form:
-        """A form of expressions of t, q, v, z, p and more, at ends of intervals; data: share."""
+        """Return a form of expressions of t, q, v, z, p and `more` at ends of intervals."""
         symbols = self.phase.symbols
-        given = [*(symbols[key] for key in "qvz"), self.begin, self.duration, symbols["p"]]
-        given += [] if more is None else [more]
-        return self._form(ca.vertcat(*given), self.share, rows, cost)
+        unknowns = [*(symbols[key] for key in "qvz"), self.begin, self.duration, symbols["p"]]
+        unknowns += [] if more is None else [more]
+        return self._form(ca.vertcat(*unknowns), self.share, rows, cost)
 
     def node_places(self, unknowns: Unknowns, nodes: Numbers) -> Places:
-        """Unknowns of a form at some ends of intervals, shape (.., len(nodes))."""
+        """Return the indices of the unknowns of a form at nodes, shape (.., len(nodes))."""
         shared = np.array([unknowns.begin, unknowns.duration, *self._p], dtype=np.intp)
         return np.vstack((unknowns.state[nodes].T, np.repeat(shared[:, None], len(nodes), axis=1)))
 
     def last_form(self, scheme: Collocation, cost: Any) -> Form:
-        """A cost of all letters at the end, with forces as polynomials of the last interval."""
+        """Return a form of a cost at the end, with forces as polynomials of the last interval."""
         symbols, at_end = self.phase.symbols, ca.DM(scheme.values(np.ones(1)).T)
         points = {key: ca.SX.sym(key, symbols[key].numel(), scheme.degree) for key in _AT_POINTS}
-        own, ends = [symbols[key] for key in points], [one @ at_end for one in points.values()]
-        (cost,) = ca.substitute([ca.SX(cost)], own, ends)
-        more = ca.vertcat(*(ca.vec(one) for one in points.values()))
+        replaced = [symbols[key] for key in points]
+        ends = [values @ at_end for values in points.values()]
+        (cost,) = ca.substitute([ca.SX(cost)], replaced, ends)
+        more = ca.vertcat(*(ca.vec(values) for values in points.values()))
         return self.node_form(ca.SX(0, 1), cost, more)
 
     def last_places(self, unknowns: Unknowns) -> Places:
-        """Unknowns of `last_form`, one column."""
-        own = self.node_places(unknowns, np.array([unknowns.mesh.intervals]))
+        """Return the indices of the unknowns of `last_form`, one column."""
+        node_places = self.node_places(unknowns, np.array([unknowns.mesh.intervals]))
         degree = int(unknowns.mesh.degrees[-1])
         points = (unknowns.points[key][-degree:].reshape(-1, 1) for key in _AT_POINTS)
-        return np.vstack((own, *points))
+        return np.vstack((node_places, *points))
 
     def _form(self, unknowns: Any, data: Any, rows: Any, cost: Any = None) -> Form:
         both = [ca.SX(rows), ca.SX(0) if cost is None else ca.SX(cost)]
@@ -152,18 +156,18 @@ class PhaseForms:
         return Block(MOTION, self._dynamics, places, shares, size=rows)
 
     def _intervals(self, unknowns: Unknowns, sizes: Array) -> list[Block]:
-        found = []
+        blocks = []
         for degree in np.unique(unknowns.mesh.degrees).tolist():
             scheme = unknowns.mesh.scheme_of(degree)
             for shifted in (True, False):
                 places = self._flat_places(unknowns, degree, shifted=shifted)
                 size = np.repeat(sizes[places[:1]], degree + 1, axis=0)
                 form = interval_defects(scheme, has_shifts=shifted and unknowns.sizes.m > 0)
-                found.append(Block(COLLOCATION, form, places, size=size))
-        return found
+                blocks.append(Block(COLLOCATION, form, places, size=size))
+        return blocks
 
     def _flat_places(self, unknowns: Unknowns, degree: int, *, shifted: bool) -> Places:
-        """Of `interval_defects`, one column a coordinate and interval: q and v, or z."""
+        """Return indices for `interval_defects`, a column per coordinate and interval."""
         mesh, (q, v) = unknowns.mesh, self.phase.flat.T
         nodes, points = unknowns.nodes, unknowns.points
         first, last, rate = nodes["z"], points["z"], points["w"]
@@ -180,15 +184,15 @@ class PhaseForms:
             np.repeat(shared[:, :, None], n, axis=2),
         ]
         if shifted and unknowns.sizes.m:
-            own = unknowns.shifts[chosen]
-            parts.append(np.hstack((own[:, v], own[:, unknowns.sizes.nv :]))[:, None])
-        whole = np.concatenate(parts, axis=1)  # interval, unknown, coordinate
-        return whole.transpose(1, 0, 2).reshape(whole.shape[1], -1)
+            shifts = unknowns.shifts[chosen]
+            parts.append(np.hstack((shifts[:, v], shifts[:, unknowns.sizes.nv :]))[:, None])
+        places = np.concatenate(parts, axis=1)  # interval, unknown, coordinate
+        return places.transpose(1, 0, 2).reshape(places.shape[1], -1)
 
     def _curved(self, unknowns: Unknowns) -> list[Block]:
-        """Free bodies on intervals: one column an interval."""
+        """Return the defects of free bodies, one column per interval."""
         mesh, count = unknowns.mesh, int(unknowns.mesh.degrees.sum())
-        found = []
+        blocks = []
         for degree in np.unique(mesh.degrees).tolist():
             chosen = np.flatnonzero(mesh.degrees == degree)
             at = mesh.first_points[chosen][:, None] + np.arange(degree)
@@ -197,30 +201,30 @@ class PhaseForms:
             )
             for i, (q, v) in enumerate(unknowns.sizes.bases):
                 q_of, v_of = np.arange(q, q + _BASE_Q), np.arange(v, v + _BASE_V)
-                own = unknowns.steps[:, 6 * i : 6 * i + 6]
+                steps = unknowns.steps[:, 6 * i : 6 * i + 6]
                 poses, nodes = unknowns.points["q"][:, q_of], unknowns.nodes["q"][:, q_of]
                 speeds = unknowns.points["v"][:, v_of]
                 parts = [
                     nodes[chosen],
-                    *(one[at].reshape(len(at), -1) for one in (speeds, own, poses)),
+                    *(places[at].reshape(len(at), -1) for places in (speeds, steps, poses)),
                 ]
-                parts += [own[count + chosen], nodes[chosen + 1], shared]
+                parts += [steps[count + chosen], nodes[chosen + 1], shared]
                 if unknowns.sizes.m:
                     parts.append(unknowns.shifts[chosen][:, v_of])
                 form = body_defects(mesh.scheme_of(degree), has_shifts=unknowns.sizes.m > 0)
-                found.append(Block(BODIES, form, np.hstack(parts).T))
-        return found
+                blocks.append(Block(BODIES, form, np.hstack(parts).T))
+        return blocks
 
     def _closed(self, unknowns: Unknowns) -> list[Block]:
-        """Rows at ends of intervals, and the shifts that close them."""
+        """Return the rows at ends of intervals, and the shifts that satisfy them."""
         later = np.arange(1, unknowns.mesh.intervals + 1)
-        own = self.node_places(unknowns, later)
-        places = np.vstack((own, unknowns.shifts.T, unknowns.pulls.T))
+        node_places = self.node_places(unknowns, later)
+        places = np.vstack((node_places, unknowns.shifts.T, unknowns.pulls.T))
         return [Block(CLOSING, self._closing, places, unknowns.mesh.knots[None, 1:])]
 
     @cached_property
     def _closing(self) -> Form:
-        """G = 0, g' = 0, and shifts along J' of as many multipliers."""
+        """Form of g = 0, g' = 0, and shifts along J' of as many multipliers."""
         phase, sizes = self.phase, self.phase.sizes
         shifts = ca.SX.sym("e", 2 * sizes.nv)
         of_positions, of_all = (ca.SX.sym("k", count) for count in (sizes.mg, sizes.mk))

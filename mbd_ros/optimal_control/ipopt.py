@@ -1,4 +1,4 @@
-"""A sparse program solved by IPOPT, from a point, with its last iterate kept whatever happens.
+"""Solution of a sparse program by IPOPT; the last iterate is returned in any case.
 
 Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search
 algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
@@ -20,13 +20,13 @@ _GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found"
 _WARM = {
     "mu_strategy": "adaptive",
     "mu_init": 1.0e-7,
-    "bound_push": 1.0e-4,  # nearer to a bound, where it no longer acts, steps are short
+    "bound_push": 1.0e-4,  # nearer to inactive bounds, steps would be short
     "bound_frac": 1.0e-4,
 }
 _BY_SLACKS = {"bound_mult_init_method": "mu-based"}  # multipliers of bounds are mu over slacks
 _NARROW = 1.0e-10  # of the size of bounds: closer ones leave no slack, and IPOPT would crash
-# of programs whose slopes jump: it ends where the cost no longer changes, though the slope of the
-# Lagrangian does
+# for programs with discontinuous derivatives: ends where the cost no longer changes, although the
+# gradient of the Lagrangian does
 KINKED: Mapping[str, Any] = {
     "mumps_pivot_order": 4,  # PORD: a third less time for long chains of many unknowns
     "acceptable_iter": 3,
@@ -36,8 +36,8 @@ KINKED: Mapping[str, Any] = {
     "acceptable_compl_inf_tol": 1.0e-7,
     "acceptable_obj_change_tol": 1.0e-8,
 }
-# of programs whose slopes jump in the midst of a motion: a barrier is lowered before its own least
-# cost is found, which may be where a slope jumps, so that steps go to and fro there
+# for programs whose derivatives jump within a motion: the barrier is lowered before its subproblem
+# is solved, whose optimum may be where a derivative jumps, so that steps would oscillate there
 PIECEWISE: Mapping[str, Any] = {"barrier_tol_factor": 1.0e3}
 _NO_OPTIONS: Mapping[str, Any] = {}
 Progress = Callable[[], tuple[float, float]]  # cost and violation
@@ -55,17 +55,19 @@ def solve(
     is_near: bool = False,
     tell: Tell | None = None,
     options: Mapping[str, Any] = _NO_OPTIONS,
-) -> Solved:
+) -> SolverResult:
     """Solve a program.
 
     Args:
-        guess: All unknowns, fixed ones too, shape (n,).
-        lower: Their bounds, shape (n,).
-        accuracy: Of the conditions of optimality, in usual sizes.
+        program: The program.
+        guess: Initial values of all unknowns, including fixed ones, shape (n,).
+        lower: Lower bounds of the unknowns, shape (n,).
+        upper: Upper bounds of the unknowns, shape (n,).
+        accuracy: Tolerance of the conditions of optimality, for scaled unknowns.
         most: Largest number of iterations.
         is_near: Whether the guess solves a program that is nearly this one.
-        tell: Is called after every iteration; stops the solver where it says so.
-        options: Further ones of IPOPT, by name.
+        tell: Callback after every iteration, which returns whether to stop.
+        options: Further options of IPOPT, by name.
     """
     functions, at = program.functions(), program.open
     sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
@@ -81,39 +83,41 @@ def solve(
         "bound_relax_factor": 0.0,
         "max_iter": most,
         "linear_solver": "mumps",
-        "mumps_permuting_scaling": 0,  # usual sizes do that; permuted, factors are a third larger
+        "mumps_permuting_scaling": 0,  # unknowns are scaled; permuted factors are a third larger
         **(_WARM if is_near else {}),
         **(_BY_SLACKS if is_near and not is_narrow else {}),
         **options,
     }
-    asked = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
+    derivatives = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
     more = {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False}
     watch = _Watch(program.bounds, tell) if tell is not None else None
     if watch is not None:
         more["iteration_callback"] = watch
-    solver = ca.nlpsol("predict", "ipopt", functions["program"], {**asked, **more, "ipopt": ipopt})
-    found = solver(
+    arguments = {**derivatives, **more, "ipopt": ipopt}
+    solver = ca.nlpsol("predict", "ipopt", functions["program"], arguments)
+    result = solver(
         x0=guess[at] / sizes,
         lbx=lower,
         ubx=upper,
         lbg=row_lower,
         ubg=row_upper,
     )
-    return _solved(program, guess, found, solver.stats(), functions)
+    return _unscale(program, guess, result, solver.stats(), functions)
 
 
 def _are_narrow(lower: Array, upper: Array) -> bool:
-    """Whether some bounds are so close, but not equal, that their difference is rounding."""
+    """Return whether some bounds differ by no more than rounding, but differ."""
     size = np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
     return bool(((lower < upper) & (upper - lower < _NARROW * size)).any())
 
 
 class _Watch(ca.Callback):  # type: ignore[misc]
-    """What is called after every iteration."""
+    """CasADi callback after every iteration."""
 
     def __init__(self, bounds: tuple[Array, Array], tell: Tell) -> None:
         ca.Callback.__init__(self)
-        self._bounds, self._tell = bounds, tell
+        self._bounds = bounds
+        self._tell = tell
         self.iterations = 0
         self.construct("watch", {})
 
@@ -134,13 +138,13 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         size = sizes.get(ca.nlpsol_out(i))
         return ca.Sparsity(0, 0) if size is None else ca.Sparsity.dense(size, 1)
 
-    def eval(self, given: Any) -> list[int]:
+    def eval(self, arguments: Any) -> list[int]:
         self.iterations += 1
 
         def progress() -> tuple[float, float]:
-            rows, (lower, upper) = _flat(given[2]), self._bounds
-            off = np.maximum(lower - rows, rows - upper).max(initial=0.0)
-            return float(given[1]), float(off)
+            rows, (lower, upper) = _flat(arguments[2]), self._bounds
+            violation = np.maximum(lower - rows, rows - upper).max(initial=0.0)
+            return float(arguments[1]), float(violation)
 
         return [int(self._tell(self.iterations, progress))]
 
@@ -149,49 +153,51 @@ def _flat(values: Any) -> Array:
     return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
 
 
-def _solved(
-    program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
-) -> Solved:
+def _unscale(
+    program: SparseProgram, guess: Array, result: Any, stats: Any, functions: Any
+) -> SolverResult:
+    """Return the result of IPOPT for unknowns and rows without scaling."""
     at, sizes, x = program.open, program.sizes[program.open], guess.copy()
-    y, lam = _flat(found["x"]), _flat(found["lam_g"])
-    pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
+    y, lam = _flat(result["x"]), _flat(result["lam_g"])
+    pulls, bounds = _flat(result["lam_x"]), np.zeros(len(x))
     x[at] = y * sizes
-    rows = _flat(found["g"])
+    rows = _flat(result["g"])
     lower, upper = program.bounds
-    off = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
+    violation = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
     slope = _flat(functions["grad_f"](y, [])[1])
     if program.m:
-        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ found["lam_g"])
+        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ result["lam_g"])
     cost = program.cost_size
     bounds[at] = pulls * cost / sizes
     status = str(stats["return_status"])
-    return Solved(
+    return SolverResult(
         x,
-        float(found["f"]) * cost,
+        float(result["f"]) * cost,
         rows * program.row_sizes,
         lam * cost / program.row_sizes,
         bounds,
         status,
         int(stats["iter_count"]),
         status in _GOOD,
-        float(off.max(initial=0.0)),
+        float(violation.max(initial=0.0)),
         float(np.abs(slope + pulls).max(initial=0.0)),
     )
 
 
-class Solved(NamedTuple):
-    """What a solver leaves.
+class SolverResult(NamedTuple):
+    """Result of the solver: a solution, or the last iterate.
 
     Attributes:
         x: The unknowns, shape (n,).
+        cost: Value of the cost.
         rows: Values of the rows, shape (m,).
-        row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
+        row_forces: Multipliers of the rows: decrease of the cost per unit of their bounds, (m,).
         bound_forces: Multipliers of bounds of the unknowns, shape (n,).
-        status: What the solver says.
-        iterations: How many it took.
+        status: Status of IPOPT.
+        iterations: Number of iterations.
         is_good: Whether conditions of optimality hold.
-        violation: Largest violation of rows, in their usual sizes.
-        stationarity: Largest slope of the Lagrangian, in usual sizes.
+        violation: Largest violation of rows, relative to their sizes.
+        stationarity: Largest entry of the gradient of the Lagrangian, for scaled unknowns.
     """
 
     x: Array

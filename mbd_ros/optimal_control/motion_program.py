@@ -1,4 +1,4 @@
-"""Phases of a motion, with what links them, as one program; its solution as motions."""
+"""Program of a motion: phases with the linkages between them; and its solution as motions."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.optimal_control.ipopt import KINKED, PIECEWISE, Solved, Tell, solve
+from mbd_ros.optimal_control.ipopt import KINKED, PIECEWISE, SolverResult, Tell, solve
 from mbd_ros.optimal_control.motion_phase import MotionPhase
 from mbd_ros.optimal_control.phase_equations import LETTERS
-from mbd_ros.optimal_control.phase_motion import PhaseMotion, Unknowns, looked_at
+from mbd_ros.optimal_control.phase_motion import PhaseMotion, Unknowns, intermediate_values
 from mbd_ros.optimal_control.problem import Range
 from mbd_ros.optimal_control.sparse_program import Block, Form, SparseProgram
 
-NARROWEST = 1.0e-3  # of its width: what a node that moves leaves of an interval
+NARROWEST = 1.0e-3  # of its width: the least that a moving node leaves of an interval
 _NODES = "qvz"
-_TWICE = {"perturb_always_cd": "yes"}  # conditions that depend on each other do no harm
+_REDUNDANT_ROWS = {"perturb_always_cd": "yes"}  # IPOPT option for redundant conditions
 
 
 class MotionProgram:
-    """A motion as a program on any meshes.
+    """Program of a motion on any meshes.
 
     Args:
-        phases: The phases, in order; their parameters are the first unknowns.
+        phases: The phases, in order.
+        parameters: Unknown numbers of the scene, which are the first unknowns.
         begin: Time at which the first phase begins [s].
-        linkages: What links ends of phases.
+        linkages: Linkages between ends of phases.
     """
 
     def __init__(
@@ -39,8 +40,10 @@ class MotionProgram:
         begin: float = 0.0,
         linkages: Sequence[Linkage] = (),
     ) -> None:
-        self.phases, self.parameters = tuple(phases), tuple(parameters)
-        self._begin, self._linkages = begin, tuple(linkages)
+        self.phases = tuple(phases)
+        self.parameters = tuple(parameters)
+        self._begin = begin
+        self._linkages = tuple(linkages)
 
     def solve(
         self,
@@ -55,124 +58,128 @@ class MotionProgram:
         has_kinks: bool = False,
         tell: Tell | None = None,
     ) -> Solution:
-        """Solve on the meshes of guesses.
+        """Solve the program on the meshes of the guesses.
 
         Args:
-            parameters: Values to begin with.
-            accuracy: Of the conditions of optimality, in usual sizes.
-            cost_size: Usual size of the cost.
+            guesses: Initial motion of each phase.
+            parameters: Initial values of the parameters.
+            accuracy: Tolerance of the conditions of optimality, for scaled unknowns.
+            cost_size: Characteristic size of the cost.
             most: Largest number of iterations.
             is_near: Whether the guesses solve a program that is nearly this one.
-            links: Unknowns of the linkages to begin with; None for zeros.
-            has_kinks: Whether slopes of the equations may jump.
-            tell: See `ipopt.solve`.
+            links: Initial unknowns of the linkages; None for zeros.
+            has_kinks: Whether derivatives of the equations may jump.
+            tell: Callback after each iteration, as for `ipopt.solve`.
         """
-        assembled = self.assembled(guesses, parameters, cost_size, links)
-        program, guess, every, (lower, upper) = assembled
+        assembly = self.assemble(guesses, parameters, cost_size, links)
+        program, guess, all_unknowns, (lower, upper) = assembly
         more: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
-        more["options"] = dict(_TWICE) if self._linkages and not is_near else {}
+        more["options"] = dict(_REDUNDANT_ROWS) if self._linkages and not is_near else {}
         if self.has_pieces and not is_near:
             more["options"] |= PIECEWISE
         more["options"] |= KINKED if has_kinks else {}
         solved = solve(program, guess, lower, upper, tell=tell, **more)
-        motions = tuple(read(solved.x, unknowns) for unknowns in every)
-        found = solved.x[: len(self.parameters)]
-        own = solved.x[every[-1].end :]
-        return Solution(motions, found, solved, program, tuple(every), own)
+        motions = tuple(read_motion(solved.x, unknowns) for unknowns in all_unknowns)
+        values = solved.x[: len(self.parameters)]
+        link_values = solved.x[all_unknowns[-1].end :]
+        return Solution(motions, values, solved, program, tuple(all_unknowns), link_values)
 
     @property
     def has_pieces(self) -> bool:
-        """Whether slopes of the equations may jump, since couplings are made of pieces."""
+        """Whether derivatives of the equations may jump, because couplings are piecewise."""
         return any(phase.equations.has_pieces for phase in self.phases)
 
-    def limited(self) -> MotionProgram:
-        """The program with all limits of phases and linkages among its rows."""
-        phases = [one.limited() for one in self.phases]
-        linkages = [one.limited() for one in self._linkages]
+    def with_limits(self) -> MotionProgram:
+        """Return the program with the limits of all phases and linkages among its rows."""
+        phases = [phase.with_limits() for phase in self.phases]
+        linkages = [linkage.with_limits() for linkage in self._linkages]
         return MotionProgram(phases, self.parameters, self._begin, linkages)
 
     def keeps_limits(self, solution: Solution) -> bool:
-        """Whether a solution keeps the limits that it did not know."""
+        """Return whether a solution satisfies the limits that are not rows of the program."""
         first, p = 0, solution.parameters
         for linkage in self._linkages:
-            own = solution.links[first : first + linkage.count]
-            if not linkage.keeps_limits(own):
+            link_values = solution.links[first : first + linkage.count]
+            if not linkage.keeps_limits(link_values):
                 return False
             first += linkage.count
         pairs = zip(self.phases, solution.motions, strict=True)
-        return all(phase.keeps_limits(one, looked_at(one)[0], p) for phase, one in pairs)
+        return all(
+            phase.keeps_limits(motion, intermediate_values(motion)[0], p)
+            for phase, motion in pairs
+        )
 
-    def assembled(
+    def assemble(
         self,
         guesses: Sequence[PhaseMotion],
         parameters: Array,
         cost_size: float,
         links: Array | None = None,
     ) -> tuple[SparseProgram, Array, list[Unknowns], tuple[Array, Array]]:
-        """The program on the meshes of guesses, the guess, the unknowns and their bounds."""
-        every = self._numbered(guesses)
-        guess = np.zeros(every[-1].end)
+        """Return the program on the meshes of guesses, the guess, the unknowns and bounds."""
+        all_unknowns = self._number_unknowns(guesses)
+        guess = np.zeros(all_unknowns[-1].end)
         guess[: len(parameters)] = parameters
-        for unknowns, motion in zip(every, guesses, strict=True):
-            written(guess, unknowns, motion)
-        sizes = np.ones(every[-1].end)
+        for unknowns, motion in zip(all_unknowns, guesses, strict=True):
+            write_motion(guess, unknowns, motion)
+        sizes = np.ones(all_unknowns[-1].end)
         sizes[: len(parameters)] = np.maximum(np.abs(parameters), 1.0e-6)
         rows = list[Array]()
-        for phase, unknowns, motion in zip(self.phases, every, guesses, strict=True):
-            usual = phase.usual(motion, np.asarray(parameters))
+        for phase, unknowns, motion in zip(self.phases, all_unknowns, guesses, strict=True):
+            usual = phase.characteristic_sizes(motion, np.asarray(parameters))
             usual.write(sizes, unknowns)
             rows.append(usual.rows)
-        blocks, end = self._blocks(every, sizes, rows)
+        blocks, end = self._blocks(all_unknowns, sizes, rows)
         guess = np.append(guess, np.zeros(end - len(guess)) if links is None else links)
         sizes = np.append(sizes, np.ones(end - len(sizes)))
-        lower, upper = self._bounds(every, end)
+        lower, upper = self._bounds(all_unknowns, end)
         known = np.where(lower == upper, lower, np.nan)
         program = SparseProgram(blocks, sizes, known, cost_size)
-        return program, np.clip(guess, lower, upper), every, (lower, upper)
+        return program, np.clip(guess, lower, upper), all_unknowns, (lower, upper)
 
-    def _numbered(self, guesses: Sequence[PhaseMotion]) -> list[Unknowns]:
-        found, first = list[Unknowns](), len(self.parameters)
+    def _number_unknowns(self, guesses: Sequence[PhaseMotion]) -> list[Unknowns]:
+        numbered, first = list[Unknowns](), len(self.parameters)
         for phase, motion in zip(self.phases, guesses, strict=True):
-            found.append(Unknowns(phase.equations.sizes, motion.mesh, first))
-            first = found[-1].end
-        return found
+            numbered.append(Unknowns(phase.equations.sizes, motion.mesh, first))
+            first = numbered[-1].end
+        return numbered
 
     def _blocks(
-        self, every: Sequence[Unknowns], sizes: Array, rows: Sequence[Array]
+        self, all_unknowns: Sequence[Unknowns], sizes: Array, rows: Sequence[Array]
     ) -> tuple[list[Block], int]:
-        found = list[Block]()
-        for phase, unknowns, usual in zip(self.phases, every, rows, strict=True):
-            found += phase.blocks(unknowns, sizes, usual)
+        blocks = list[Block]()
+        for phase, unknowns, usual in zip(self.phases, all_unknowns, rows, strict=True):
+            blocks += phase.blocks(unknowns, sizes, usual)
             if unknowns.mesh.free.any():
-                found += moving_knots(unknowns)
-        for one, following in itertools.pairwise(every):
-            places = np.array([[one.begin, one.duration, following.begin]]).T
-            found.append(Block("times", _following(), places))
-        end = every[-1].end
+                blocks += moving_knots(unknowns)
+        for before, following in itertools.pairwise(all_unknowns):
+            places = np.array([[before.begin, before.duration, following.begin]]).T
+            blocks.append(Block("times", _following(), places))
+        end = all_unknowns[-1].end
         for linkage in self._linkages:
-            more, end = linkage.blocks(every, end)
-            found += more
-        return found, end
+            more, end = linkage.blocks(all_unknowns, end)
+            blocks += more
+        return blocks, end
 
-    def _bounds(self, every: Sequence[Unknowns], end: int) -> tuple[Array, Array]:
+    def _bounds(self, all_unknowns: Sequence[Unknowns], end: int) -> tuple[Array, Array]:
         lower, upper = np.full(end, -np.inf), np.full(end, np.inf)
-        for i, one in enumerate(self.parameters):
-            lower[i], upper[i] = one.bounds
-        for i, (phase, unknowns) in enumerate(zip(self.phases, every, strict=True)):
+        for i, parameter in enumerate(self.parameters):
+            lower[i], upper[i] = parameter.bounds
+        for i, (phase, unknowns) in enumerate(zip(self.phases, all_unknowns, strict=True)):
             bound_widths(unknowns, lower, upper)
             if i == 0:
                 lower[unknowns.begin] = upper[unknowns.begin] = self._begin
-            phase.bound(unknowns, lower, upper)
+            phase.write_bounds(unknowns, lower, upper)
         return lower, upper
 
 
 class Parameter(NamedTuple):
-    """A number of the scene that is unknown.
+    """An unknown number of the scene.
 
     Attributes:
-        name: As `Scene.with_` takes it.
+        name: Name as `Scene.with_` accepts it.
         bounds: Least and largest value.
-        value: To begin with.
+        value: Initial value.
     """
 
     name: str
@@ -181,26 +188,26 @@ class Parameter(NamedTuple):
 
 
 class Linkage(Protocol):
-    """What links ends of phases.
+    """Conditions that link ends of phases.
 
     Attributes:
-        count: Unknowns of its own.
+        count: Number of unknowns of the linkage itself.
     """
 
     count: int
 
-    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
-        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
+    def blocks(self, all_unknowns: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
+        """Return blocks of rows, and the number after the unknowns that begin with `first`."""
 
-    def limited(self) -> Linkage:
-        """With what impulses have to keep among the rows."""
+    def with_limits(self) -> Linkage:
+        """Return the linkage with the limits of impulses among its rows."""
 
-    def keeps_limits(self, own: Array) -> bool:
-        """Whether its own unknowns keep that."""
+    def keeps_limits(self, link_values: Array) -> bool:
+        """Return whether the unknowns of the linkage satisfy these limits."""
 
 
-def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
-    """The motion of some unknowns."""
+def read_motion(x: Array, unknowns: Unknowns) -> PhaseMotion:
+    """Read the motion of a phase from the unknowns of a program."""
     mesh = unknowns.mesh._replace(widths=x[unknowns.widths])
     nodes = {letter: x[unknowns.nodes[letter]] for letter in _NODES}
     points = {letter: x[unknowns.points[letter]] for letter in LETTERS}
@@ -209,8 +216,8 @@ def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
     return PhaseMotion(mesh, x[unknowns.begin], x[unknowns.duration], nodes, points, bases)
 
 
-def written(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
-    """Write a motion on the mesh of some unknowns into these."""
+def write_motion(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
+    """Write a motion into the unknowns of a program, for the same mesh."""
     for letter in _NODES:
         x[unknowns.nodes[letter]] = motion.nodes[letter]
     for letter in LETTERS:
@@ -222,17 +229,17 @@ def written(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
 
 
 def moving_knots(unknowns: Unknowns) -> list[Block]:
-    """Intervals between nodes that stand keep their sum."""
-    found, run = list[Block](), list[int]()
+    """Return rows that keep the sum of the intervals between fixed nodes."""
+    blocks, run = list[Block](), list[int]()
     for i, moves in enumerate(unknowns.mesh.free):
         run.append(i)
         if not moves and len(run) > 1:
             x = ca.SX.sym("w", len(run))
             total = float(unknowns.mesh.widths[run].sum())
             form = Form(x, ca.SX(0, 1), ca.sum1(x))
-            found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
+            blocks.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
         run = run if moves else []
-    return found
+    return blocks
 
 
 def _following() -> Form:
@@ -241,7 +248,7 @@ def _following() -> Form:
 
 
 def bound_widths(unknowns: Unknowns, lower: Array, upper: Array) -> None:
-    """Write bounds of the widths: fixed, but beside nodes that may move."""
+    """Write bounds of the widths: fixed, except beside nodes that may move."""
     mesh, free = unknowns.mesh, unknowns.mesh.free
     lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
     beside: NDArray[np.bool_] = free | np.concatenate(([False], free[:-1]))
@@ -251,20 +258,20 @@ def bound_widths(unknowns: Unknowns, lower: Array, upper: Array) -> None:
 
 
 class Solution(NamedTuple):
-    """What was found.
+    """Solution of a program, or its last iterate.
 
     Attributes:
-        motions: Of each phase.
+        motions: Motion of each phase.
         parameters: Values of the parameters.
-        solved: What the solver leaves.
-        program: What was solved.
-        unknowns: Of each phase.
+        solved: Result of the solver.
+        program: The program.
+        unknowns: Indices of the unknowns of each phase.
         links: Unknowns of the linkages, such as impulses.
     """
 
     motions: tuple[PhaseMotion, ...]
     parameters: Array
-    solved: Solved
+    solved: SolverResult
     program: SparseProgram
     unknowns: tuple[Unknowns, ...]
     links: Array

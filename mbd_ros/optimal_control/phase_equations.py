@@ -1,13 +1,13 @@
-"""The equations of a phase at a point as a residual of symbols, for collocation.
+"""The equations of a phase at a point as a symbolic residual, for collocation.
 
     r = (M a + h - loads - J' lam, J a + b, z' - rates)
 
-No mass matrix is factorised: accelerations, multipliers and rates are unknowns beside the state.
-Rates that solve an equation, such as those of fibres beside a tendon, are stated as that equation.
+No mass matrix is factorized: accelerations, multipliers and rates are unknowns beside the state.
+Rates that solve an equation, such as those of fibres beside a tendon, enter as that equation.
 
-Rows that follow from others wherever these hold, such as those of a foot at several points, are
-redundant: what they say is said already, and no equation tells their multipliers from those of the
-others. They are zero then: the sums over rows on which a motion depends are the same for all
+Redundant rows follow from other rows wherever these hold, such as those of a foot at several
+points. No equation determines their multipliers separately from those of the others, so that these
+multipliers are set to zero. The sums over rows on which a motion depends are the same for all
 choices.
 """
 
@@ -29,107 +29,110 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.optimal_control.phase_motion import PhaseMotion, Sizes, Unknowns
 
-LETTERS = "qvzawul"  # what is unknown at a point
+LETTERS = "qvzawul"  # unknowns at a point
 _POSE = 7  # coordinates of a free body
-_DEPENDENT = 1.0e-6  # of the size of a row: what others leave of it
+_DEPENDENT = 1.0e-6  # of the size of a row: a smaller remainder makes it redundant
 _CLOSED, _MOST = 1.0e-10, 50  # rad or m, Newton steps
-_ASIDE, _TRIES = 0.2, 3  # rad or m from where the scene starts: rows may depend just there
+_ASIDE, _TRIES = 0.2, 3  # rad or m from the initial state, where rows may be redundant by chance
 _WIDEST, _INTERNAL = 0.1, 0.1  # least range of positions [rad or m], and of internal states
 _STROKES = 4.0  # accelerations of a motion from rest to rest: 4 range / duration^2, bang-bang
-_LOOKED_AT = 20  # points
+_SAMPLES = 20  # points of a motion from which sizes of forces are computed
 _NOTHING: Array = np.zeros(0)
 
 
 class PhaseEquations:
-    """Expressions of a system in one mode.
+    """Symbolic equations of a system in one mode.
 
     Args:
-        dependence: Of its rows; None where each tells something.
+        equations: Equations of the system.
+        dependence: Redundant rows; None for none.
 
     Attributes:
-        symbols: Letter -> column: t, p and `LETTERS`.
-        sizes: Of the system.
+        symbols: Letter -> column of symbols: t, p and `LETTERS`.
+        sizes: Sizes of the system.
     """
 
     def __init__(self, equations: Equations, dependence: Dependence | None = None) -> None:
-        self.equations, e = equations, equations
+        self.equations = e = equations
         self.dependence = Dependence() if dependence is None else dependence
         self.symbols = {key: e.symbols[key] for key in "tpqvzual"}
         self.symbols["w"] = ca.SX.sym("w", e.nz)
         joints = e.system.chart.model.joints
         bases = tuple((int(j.idx_q), int(j.idx_v)) for j in joints if j.nq == _POSE)
-        counts = (len(one.g) for one in (e.acting, self._closing, self._kept))
+        counts = (len(rows.g) for rows in (e.active_rows, self._closing, self._independent_rows))
         self.sizes = Sizes(e.nq, e.nv, e.nz, e.nu, *counts, bases)
 
     @cached_property
     def residual(self) -> Any:
-        """The r, a column of size nv + m + nz."""
+        """Residual r, a column of size nv + m + nz."""
         return ca.vertcat(self._motion, self._balance)
 
     @cached_property
     def _balance(self) -> Any:
-        """What is zero where w are the rates of internal states, a column."""
+        """Residual of the rates w of internal states, a column."""
         return self.equations.balance(self.symbols["w"])
 
     @cached_property
     def _motion(self) -> Any:
-        """The r but for internal states."""
+        """Residual r without internal states."""
         e = self.equations
         a, lam = (scalars(self.symbols[key]) for key in "al")
-        found = residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
+        rows = residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
         for i in self.dependence.rows:
-            found[e.nv + i] = lam[i]
-        return found
+            rows[e.nv + i] = lam[i]
+        return rows
 
     @cached_property
     def positions(self) -> Any:
-        """The g of rows that state positions, a column of size mg."""
+        """Constraint functions g of position rows, a column of size mg."""
         return ca.vertcat(ca.SX(0, 1), *self._closing.g)
 
     @cached_property
     def velocities(self) -> Any:
-        """The g' of rows but for dependent ones, or what rows of velocities state, of size mk."""
-        return ca.vertcat(ca.SX(0, 1), *self._kept.velocities(scalars(self.symbols["v"])))
+        """Rates g' of all rows that are not redundant, a column of size mk."""
+        return ca.vertcat(
+            ca.SX(0, 1), *self._independent_rows.velocities(scalars(self.symbols["v"]))
+        )
 
     @cached_property
     def jacobians(self) -> tuple[Any, Any]:
-        """J of rows of positions and of all that are kept, shapes (mg, nv) and (mk, nv)."""
-        return self._dense(self._closing), self._dense(self._kept)
+        """Jacobians of position rows, (mg, nv), and of all independent rows, (mk, nv)."""
+        return self._dense(self._closing), self._dense(self._independent_rows)
 
     @cached_property
-    def _kept(self) -> Rows:
-        """Rows that depend on no others."""
-        every = range(len(self.equations.acting.g))
-        return self.equations.acting.only([i for i in every if i not in self.dependence.rows])
+    def _independent_rows(self) -> Rows:
+        """Rows that are not redundant."""
+        rows = range(len(self.equations.active_rows.g))
+        return self.equations.active_rows.only([i for i in rows if i not in self.dependence.rows])
 
     @cached_property
     def has_pieces(self) -> bool:
-        """Whether couplings are made of pieces, so that slopes of the equations may jump."""
+        """Whether couplings are piecewise, so that derivatives of the equations may jump."""
         e = self.equations
-        both = ca.vertcat(*(column(one) for one in (e.coordinates.q, e.coordinates.v)))
+        both = ca.vertcat(*(column(values) for values in (e.coordinates.q, e.coordinates.v)))
         coupled = ca.Function("coupled", [self.symbols["q"], self.symbols["v"]], [both])
         operations = map(coupled.instruction_id, range(coupled.n_instructions()))
         return ca.OP_IF_ELSE_ZERO in operations
 
     @property
     def _closing(self) -> Rows:
-        """Rows of positions but for those along which nothing is said, such as tangents."""
-        rows = self._kept.of(Level.POSITION)
+        """Position rows without those of a constant g, such as tangents."""
+        rows = self._independent_rows.of(Level.POSITION)
         return rows.only([i for i, g in enumerate(rows.g) if not ca.SX(g).is_constant()])
 
     def _dense(self, rows: Rows) -> Any:
-        found = ca.SX(len(rows.J), self.equations.nv)
+        dense = ca.SX(len(rows.J), self.equations.nv)
         for i, row in enumerate(rows.J):
             for j, value in row.items():
-                found[i, j] = value
-        return found
+                dense[i, j] = value
+        return dense
 
     @cached_property
     def flat(self) -> np.ndarray:
-        """Pairs of places in q and v of coordinates that add up, shape (.., 2)."""
+        """Pairs of indices in q and v of coordinates in a vector space, shape (.., 2)."""
         joints = self.equations.system.chart.model.joints
-        found = [(j.idx_q, j.idx_v) for j in joints if j.nq == 1 and j.idx_q >= 0]
-        return np.array(found, dtype=np.intp).reshape(-1, 2)
+        pairs = [(j.idx_q, j.idx_v) for j in joints if j.nq == 1 and j.idx_q >= 0]
+        return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
     @property
     def _arguments(self) -> list[Any]:
@@ -137,18 +140,20 @@ class PhaseEquations:
 
     @cached_property
     def _slopes(self) -> Any:
-        """(t, q, v, z, a, w, u, l, p) -> r, linear in w, and its slopes by (a, l, w), dense."""
+        """(t, q, v, z, a, w, u, l, p) -> r, linear in w, and its derivatives by (a, l, w)."""
         by = ca.vertcat(*(self.symbols[key] for key in "alw"))
         r = ca.vertcat(self._motion, self.symbols["w"] - self.equations.rates)
         results = [ca.densify(r), ca.densify(ca.jacobian(r, by))]
         return ca.Function("slopes", self._arguments, ca.cse(results))
 
-    def answers(self, values: Mapping[str, Array], times: Array, p: Array) -> tuple[Array, Array]:
-        """The r and its slopes by (a, l, w), shapes (n, rows) and (n, rows, rows).
+    def linearize(
+        self, values: Mapping[str, Array], times: Array, p: Array
+    ) -> tuple[Array, Array]:
+        """Return r and its derivatives by (a, l, w), shapes (n, rows) and (n, rows, rows).
 
         Args:
-            values: Letter -> values, shape (n, ..); of what is not there, zeros.
-            times: [s], shape (n,).
+            values: Letter -> values, shape (n, ..); zeros for missing letters.
+            times: Times [s], shape (n,).
         """
         n, absent = len(times), set(LETTERS).difference(values)
         zeros = {key: np.zeros((n, int(self.symbols[key].numel()))) for key in absent}
@@ -157,100 +162,100 @@ class PhaseEquations:
         return r, K.reshape(n, r.shape[1], r.shape[1]).transpose(0, 2, 1)
 
     @cached_property
-    def _pushes(self) -> Any:
-        """(t, q, v, z, a, w, u, l, p) -> r, and its slopes by (u, l), dense."""
+    def _input_slopes(self) -> Any:
+        """(t, q, v, z, a, w, u, l, p) -> r, and its derivatives by (u, l), dense."""
         by, r = ca.vertcat(self.symbols["u"], self.symbols["l"]), self.residual
         results = [ca.densify(r), ca.densify(ca.jacobian(r, by))]
         return ca.Function("pushes", self._arguments, ca.cse(results))
 
-    def pushed(
-        self, values: Mapping[str, Array], times: Array, p: Array, given: Array
+    def minimum_norm_inputs(
+        self, values: Mapping[str, Array], times: Array, p: Array, prescribed: Array
     ) -> dict[str, Array]:
-        """Inputs and multipliers that a motion takes, the least where many do: letters u, l.
+        """Return the minimum-norm inputs and multipliers of a motion: letters u, l.
 
         Args:
-            values: Letters q, v, z, a, w, u, l -> values, shape (n, ..); u where it is given.
-            times: [s], shape (n,).
-            given: Places of inputs that are given.
+            values: Letters q, v, z, a, w, u, l -> values, shape (n, ..); u where prescribed.
+            times: Times [s], shape (n,).
+            prescribed: Indices of prescribed inputs.
         """
         n, sizes = len(times), self.sizes
-        r, K = self._pushes.map(n)(*_columns(values, times, p))
+        r, K = self._input_slopes.map(n)(*_columns(values, times, p))
         K = _full(K).T.reshape(n, sizes.nu + sizes.m, -1).transpose(0, 2, 1)[:, : sizes.nv]
-        K[:, :, given] = 0.0
+        K[:, :, prescribed] = 0.0
         step = -np.linalg.pinv(K) @ _full(r).T[:, : sizes.nv, None]
         u, lam = np.split(step[:, :, 0], [sizes.nu], axis=1)
         return {"u": values["u"] + u, "l": values["l"] + lam}
 
     @cached_property
     def _rows(self) -> Any:
-        """(t, q, v, p) -> g and J of rows of positions, g' and J of all rows."""
+        """(t, q, v, p) -> g and J of position rows, g' and J of all rows."""
         symbols, (J, of_all) = [self.symbols[key] for key in "tqvp"], self.jacobians
-        found = [ca.densify(ca.SX(one)) for one in (self.positions, J, self.velocities, of_all)]
-        return ca.Function("rows", symbols, found)
+        results = [ca.densify(ca.SX(m)) for m in (self.positions, J, self.velocities, of_all)]
+        return ca.Function("rows", symbols, results)
 
     def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, ...]:
-        """G and J of rows of positions, then g' and J of all rows, at a state."""
+        """Return g and J of position rows, then g' and J of all rows, at a state."""
         g, J, rate, of_all = map(_full, self._rows(t, q, v, p))
         return g.ravel(), J, rate.ravel(), of_all
 
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
-        """Accelerations, multipliers and rates at states with inputs: letters a, l, w.
+        """Return accelerations, multipliers and rates at states with inputs: letters a, l, w.
 
         Raises:
-            SolveError: Rows depend on each other.
+            SolveError: Rows are redundant at a state.
         """
-        r, K = self.answers({key: values[key] for key in "qvzu"}, times, p)
+        r, K = self.linearize({key: values[key] for key in "qvzu"}, times, p)
         try:
             x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
         except np.linalg.LinAlgError as error:
             rows = ", ".join(row.name for row in self.equations.system.multiplier_rows)
-            text = f"rows that hold depend on each other at a state of the motion, among {rows}"
-            raise SolveError(f"{text}; accepted: a guess that keeps clear of it") from error
+            text = f"rows are linearly dependent at a state of the motion, among {rows}"
+            raise SolveError(f"{text}; try a guess that avoids this state") from error
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
 
     @cached_property
     def _balances(self) -> Any:
-        """(t, q, v, z, a, w, u, l, p) -> balance g of internal states, own slopes by w and z."""
+        """(t, q, v, z, a, w, u, l, p) -> residual g of w, and diagonals of dg/dw and dg/dz."""
         g, w, z = self._balance, self.symbols["w"], self.symbols["z"]
         both = [(g[i], by[i]) for by in (w, z) for i in range(self.sizes.nz)]
-        slopes = [ca.densify(ca.jacobian(*one)) for one in both]
+        slopes = [ca.densify(ca.jacobian(*pair)) for pair in both]
         return ca.Function(
             "balances", self._arguments, ca.cse([ca.vertcat(ca.densify(g), *slopes)])
         )
 
-    def calmed(
+    def damped_rates(
         self, values: Mapping[str, Array], w: Array, times: Array, spans: Array, p: Array
     ) -> Array:
-        """Rates of internal states that a step of Newton's method finds over some times.
+        """Return rates of internal states from an implicit Newton step over given times.
 
-        Where rates take a state back faster than that, as tendons do with fibres, rates at a state
-        that is off say nothing of how far it is off.
+        Where rates restore a state faster than that, as tendons do with fibres, the rate at an
+        inaccurate state does not tell its error.
 
         Args:
-            values: As for `answers`, w too.
+            values: Letter -> values, as for `linearize`, with w.
             w: Rates at these states, shape (n, nz).
-            times: [s], shape (n,).
-            spans: Over which rates act [s], shape (n,).
+            times: Times [s], shape (n,).
+            spans: Durations over which rates act [s], shape (n,).
         """
         if not (stiff := self._stiff).any():
             return w
         columns = _columns(values, times, p)
         g, by_w, by_z = np.split(_full(self._balances.map(len(times))(*columns)).T, 3, axis=1)
         slope = by_w + spans[:, None] * np.maximum(by_z, 0.0)
-        found = w.copy()
-        found[:, stiff] = (values["w"] - g / slope)[:, stiff]
-        return found
+        rates = w.copy()
+        rates[:, stiff] = (values["w"] - g / slope)[:, stiff]
+        return rates
 
     @cached_property
     def _stiff(self) -> np.ndarray:
-        """Which internal states have rates that solve an equation, shape (nz,)."""
+        """Which internal states have implicit rates, shape (nz,)."""
         by = ca.jacobian(self._balance, self.symbols["w"])
         return np.array([not by[i, i].is_constant() for i in range(self.sizes.nz)], dtype=np.bool_)
 
 
 def _columns(values: Mapping[str, Array], times: Array, p: Array) -> list[Array]:
-    """What a function of (t, q, v, z, a, w, u, l, p) takes, a column a time."""
+    """Return the arguments (t, q, v, z, a, w, u, l, p) of a function, one column per time."""
     parameters = np.repeat(np.asarray(p)[:, None], len(times), axis=1)
     return [times[None, :], *(values[key].T for key in LETTERS), parameters]
 
@@ -259,11 +264,11 @@ def _full(values: Any) -> Array:
     return np.array(values.full(), dtype=np.float64)
 
 
-def independent(equations: PhaseEquations, x: State, p: Array) -> PhaseEquations:
-    """The equations without rows that depend on others.
+def without_redundant_rows(equations: PhaseEquations, x: State, p: Array) -> PhaseEquations:
+    """Return the equations with knowledge of their redundant rows.
 
     Args:
-        x: A state of what is integrated, near which the rows can hold.
+        x: A state as integrated, near which the rows can hold.
     """
     m, nv = equations.sizes.m, equations.sizes.nv
     if m < 2:
@@ -272,17 +277,17 @@ def independent(equations: PhaseEquations, x: State, p: Array) -> PhaseEquations
     steps = [np.zeros(nv), *(_ASIDE * random.standard_normal((_TRIES, nv)))]
     best = Dependence((), np.zeros((0, m)), x.q)
     for number, step in enumerate(steps):
-        q = _closed(equations, x.t, chart.integrate(x.q, step), p)
-        found = best if q is None else _dependence(equations, x.t, q, p)
-        if q is not None and (number == 0 or len(found.rows) < len(best.rows)):
-            best = found
+        q = _close(equations, x.t, chart.integrate(x.q, step), p)
+        dependence = best if q is None else _dependence(equations, x.t, q, p)
+        if q is not None and (number == 0 or len(dependence.rows) < len(best.rows)):
+            best = dependence
         if not best.rows:
             break
     return PhaseEquations(equations.equations, best)
 
 
-def _closed(equations: PhaseEquations, t: float, q: Array, p: Array) -> Array | None:
-    """The configuration near q in which the rows hold; None where none is found."""
+def _close(equations: PhaseEquations, t: float, q: Array, p: Array) -> Array | None:
+    """Return the configuration near q in which the rows hold; None where there is none."""
     chart, still = equations.equations.system.chart, np.zeros(equations.sizes.nv)
     for _ in range(_MOST):
         g, J, _, _ = equations.rows_at(t, q, still, p)
@@ -293,27 +298,27 @@ def _closed(equations: PhaseEquations, t: float, q: Array, p: Array) -> Array | 
 
 
 def _dependence(equations: PhaseEquations, t: float, q: Array, p: Array) -> Dependence:
-    """Which rows are sums of rows before them."""
+    """Find rows that are linear combinations of rows before them."""
     J = equations.rows_at(t, q, np.zeros(equations.sizes.nv), p)[3]
-    kept, rows, null = list[int](), list[int](), list[Array]()
+    basis, rows, null = list[int](), list[int](), list[Array]()
     for i, row in enumerate(J):
-        shares = np.linalg.lstsq(J[kept].T, row, rcond=None)[0] if kept else np.zeros(0)
-        left = row - shares @ J[kept]
-        if np.linalg.norm(left) > _DEPENDENT * np.linalg.norm(row):
-            kept.append(i)
+        shares = np.linalg.lstsq(J[basis].T, row, rcond=None)[0] if basis else np.zeros(0)
+        remainder = row - shares @ J[basis]
+        if np.linalg.norm(remainder) > _DEPENDENT * np.linalg.norm(row):
+            basis.append(i)
             continue
         rows.append(i)
         null.append(np.eye(len(J))[i])
-        null[-1][kept] -= shares
+        null[-1][basis] -= shares
     return Dependence(tuple(rows), np.array(null).reshape(-1, len(J)), q)
 
 
 class Dependence(NamedTuple):
-    """Rows that depend on others.
+    """Redundant rows.
 
     Attributes:
-        rows: Their numbers among those that act.
-        null: Multipliers that push nothing, one line each of them, shape (.., m).
+        rows: Their indices among the active rows.
+        null: Multipliers without any effect, one row for each redundant row, shape (.., m).
         q: A configuration in which the rows hold.
     """
 
@@ -322,11 +327,13 @@ class Dependence(NamedTuple):
     q: Array = _NOTHING
 
 
-def usual_sizes(equations: PhaseEquations, motion: PhaseMotion, p: Array, room: Array) -> Usual:
-    """Usual sizes of a motion.
+def characteristic_sizes(
+    equations: PhaseEquations, motion: PhaseMotion, p: Array, room: Array
+) -> CharacteristicSizes:
+    """Return the characteristic sizes of a motion.
 
     Args:
-        room: Widths between the bounds of inputs, inf without, shape (nu,).
+        room: Widths between the bounds of inputs, inf without bounds, shape (nu,).
     """
     T = max(abs(motion.duration), 1.0e-6)
     largest = {key: np.abs(motion.points[key]).max(axis=0, initial=0.0) for key in LETTERS}
@@ -345,16 +352,16 @@ def usual_sizes(equations: PhaseEquations, motion: PhaseMotion, p: Array, room: 
     of["u"] = np.maximum(largest["u"], np.where(room > 0.0, np.minimum(room, most), most))
     of["l"] = np.maximum(largest["l"], most)
     accelerations = np.full(equations.sizes.m, float(of["a"].max(initial=bend)))
-    return Usual(of, np.concatenate((forces, accelerations, of["w"])), T)
+    return CharacteristicSizes(of, np.concatenate((forces, accelerations, of["w"])), T)
 
 
-class Usual(NamedTuple):
-    """Usual sizes of a phase.
+class CharacteristicSizes(NamedTuple):
+    """Characteristic sizes of a phase.
 
     Attributes:
-        of: Letter -> of each unknown of that kind.
-        rows: Of the equations of motion.
-        duration: [s].
+        of: Letter -> size of each unknown of that kind.
+        rows: Sizes of the equations of motion.
+        duration: Duration [s].
     """
 
     of: dict[str, Array]
@@ -362,7 +369,7 @@ class Usual(NamedTuple):
     duration: float
 
     def write(self, sizes: Array, unknowns: Unknowns) -> None:
-        """Write them where the unknowns of the phase stand."""
+        """Write the sizes to the places of the unknowns of a phase."""
         for letter, values in self.of.items():
             sizes[unknowns.points[letter]] = values
             if letter in unknowns.nodes:
@@ -371,12 +378,12 @@ class Usual(NamedTuple):
 
 
 def _forces(equations: PhaseEquations, motion: PhaseMotion, p: Array, a: Array) -> Array:
-    """Generalized forces that a motion takes without any input, shape (nv,)."""
+    """Return generalized forces that a motion needs without inputs, shape (nv,)."""
     count, nv = len(motion.points["q"]), equations.sizes.nv
-    some = np.unique(np.linspace(0, count - 1, min(count, _LOOKED_AT)).astype(int))
-    values = {key: motion.points[key][some] for key in "qvz"}
-    times = motion.begin + motion.duration * motion.mesh.shares[some]
-    r, K = equations.answers(values, times, p)
-    found = np.abs(r[:, :nv]).max(axis=0) + (np.abs(K[:, :nv, :nv]) @ a).max(axis=0)
-    floor = 1.0e-3 * float(found.max(initial=0.0)) or 1.0
-    return np.maximum(found, floor)
+    samples = np.unique(np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int))
+    values = {key: motion.points[key][samples] for key in "qvz"}
+    times = motion.begin + motion.duration * motion.mesh.shares[samples]
+    r, K = equations.linearize(values, times, p)
+    forces = np.abs(r[:, :nv]).max(axis=0) + (np.abs(K[:, :nv, :nv]) @ a).max(axis=0)
+    floor = 1.0e-3 * float(forces.max(initial=0.0)) or 1.0
+    return np.maximum(forces, floor)

@@ -1,4 +1,4 @@
-"""What is asked of a motion: bounds, conditions, goals and inputs of each phase."""
+"""The problem of a motion: bounds, conditions, goals and prescribed inputs of each phase."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mbd_ros.optimal_control.mesh import Mesh, Numbers
 Range = tuple[float, float]
 Ranges = Mapping[str, Range]
 NOTHING: Mapping[str, Any] = {}
-_WORDS = (
+_BODY_QUANTITIES = (
     ("position", "xyz"),
     ("orientation", "xyzw"),
     ("linear_velocity", "xyz"),
@@ -21,30 +21,32 @@ _WORDS = (
 )
 
 
-class GivenInputs(NamedTuple):
-    """Inputs that are known over time.
+class PrescribedInputs(NamedTuple):
+    """Inputs that are prescribed over time.
 
     Attributes:
-        places: Where they stand in u, shape (k,).
-        at: Shares of the duration of a phase, shape (m,) -> values, shape (m, k).
+        places: Indices in u, shape (k,).
+        at: Function from shares of the duration of a phase, shape (m,), to values, shape (m, k).
     """
 
     places: Numbers
     at: Callable[[Array], Array]
 
 
-NONE_GIVEN = GivenInputs(np.zeros(0, dtype=np.intp), lambda shares: np.zeros((len(shares), 0)))
+NO_PRESCRIBED_INPUTS = PrescribedInputs(
+    np.zeros(0, dtype=np.intp), lambda shares: np.zeros((len(shares), 0))
+)
 
 
 class PhaseProblem(NamedTuple):
-    """What is asked of a phase.
+    """The problem of one phase.
 
     Attributes:
-        name: For messages and tables.
-        duration: Shortest and longest [s].
-        bounds: Of quantities, all the time.
-        start: Of quantities at the beginning.
-        end: Of quantities at the end.
+        name: Name for messages and tables.
+        duration: Shortest and longest duration [s].
+        bounds: Ranges of quantities at all times.
+        start: Ranges of quantities at the beginning.
+        end: Ranges of quantities at the end.
         goals: Terms of the cost.
         mesh: The first mesh.
     """
@@ -62,10 +64,10 @@ class Goal(NamedTuple):
     """A term of the cost.
 
     Attributes:
-        kind: Name of the goal.
-        weight: What it counts.
-        options: Its other arguments, complete.
-        name: For messages and tables.
+        kind: Type of the goal.
+        weight: Weight in the cost.
+        options: All other arguments.
+        name: Name for messages and tables.
     """
 
     kind: str
@@ -75,5 +77,5 @@ class Goal(NamedTuple):
 
 
 def body_names(body: str) -> list[str]:
-    """Names of the seven coordinates and the six velocities of a free body, in its axes."""
-    return [f"{body}.{word}.{axis}" for word, axes in _WORDS for axis in axes]
+    """Return the names of the seven coordinates and six velocities of a free body."""
+    return [f"{body}.{word}.{axis}" for word, axes in _BODY_QUANTITIES for axis in axes]

@@ -1,6 +1,7 @@
-"""What goes by a name in a task: expressions of the symbols of a phase.
+"""Quantities that tasks name: expressions of the symbols of a phase.
 
-Unknowns of a phase have names, and so has what sensors measure, parts show and joints pass on.
+Unknowns of a phase have names, and so have measurements of sensors, outputs of parts and loads of
+joints.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from mbd_ros.core.loads.inputs import command_names, input_names
 from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.inverse_dynamics.reactions import joined_links
+from mbd_ros.methods.inverse_dynamics.reactions import find_joint_links
 from mbd_ros.optimal_control.phase_equations import PhaseEquations
 from mbd_ros.optimal_control.problem import body_names
 
@@ -36,21 +37,28 @@ _LOAD = {
 class Quantities:
     """Quantities by name.
 
-    `<joint>.position`, `.velocity`, `.acceleration`, commands and excitations as tables call them,
+    `<joint>.position`, `.velocity`, `.acceleration`, commands and excitations as in tables,
     internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, loads of joints
     as `<link>.load.force_x`, and parameters.
 
     Args:
-        given: Places of inputs that are no unknowns but known over time, such as measured loads.
+        phase: Equations of the phase.
+        sensors: Sensors of the scene.
+        prescribed: Indices of prescribed inputs, such as measured loads, which are not unknowns.
     """
 
     def __init__(
-        self, phase: PhaseEquations, sensors: Sequence[Sensor] = (), given: Collection[int] = ()
+        self,
+        phase: PhaseEquations,
+        sensors: Sequence[Sensor] = (),
+        prescribed: Collection[int] = (),
     ) -> None:
-        self._phase, self._named, self._given = phase, dict[str, Quantity](), frozenset(given)
+        self._phase = phase
+        self._named = dict[str, Quantity]()
+        self._prescribed = frozenset(prescribed)
         self._parts = PartQuantities(phase.equations, sensors)
-        for one in (*self._joints(), *self._bodies(), *self._others()):
-            self._named.setdefault(one.name, one)
+        for quantity in (*self._joints(), *self._bodies(), *self._others()):
+            self._named.setdefault(quantity.name, quantity)
 
     @property
     def symbols(self) -> Mapping[str, Any]:
@@ -59,59 +67,59 @@ class Quantities:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names but those of frames."""
+        """All names except those of frames."""
         return tuple(self._named)
 
     def find(self, name: str) -> list[Quantity]:
-        """The quantities of a name, or of a pattern: unknowns first, else others.
+        """Return the quantities of a name or a pattern: unknowns, or others if there are none.
 
         Raises:
-            ModelError: There is none; lists what there is.
+            ModelError: There is none; the message lists the names that exist.
         """
         if name in self._named:
             return [self._named[name]]
-        found = [one for key, one in self._named.items() if fnmatchcase(key, name)]
-        found = [one for one in found if one.letter] or found
-        found = found or [self._of_part(one) for one in self._parts.matching(name)]
-        if not found:
+        matches = [value for key, value in self._named.items() if fnmatchcase(key, name)]
+        matches = [match for match in matches if match.letter] or matches
+        matches = matches or [self._of_part(key) for key in self._parts.matching(name)]
+        if not matches:
             of_frame = self._of_frame(name)
-            found = [] if of_frame is None else [of_frame]
-        if not found:
+            matches = [] if of_frame is None else [of_frame]
+        if not matches:
             raise ModelError(
-                f"no quantity '{name}', there are {', '.join(self._named)}, what sensors and "
-                "parts show, <frame>.position.x and <link>.load.force_x of links"
+                f"no quantity '{name}', there are {', '.join(self._named)}, measurements of "
+                "sensors, outputs of parts, <frame>.position.x and <link>.load.force_x of links"
             )
-        return found
+        return matches
 
-    def asked(self) -> dict[str, tuple[Quantity, str]]:
-        """What somebody asked for of parts, sensors and joints, with units, by name."""
+    def requested(self) -> dict[str, tuple[Quantity, str]]:
+        """Return requested quantities of parts, sensors and joints, with units, by name."""
         names = (name for name in self._named if name in self._parts.names)
         return {name: (self._named[name], self._parts.unit(name)) for name in names}
 
     def name_of(self, letter: str, index: int) -> str:
-        """What an unknown is called."""
-        for one in self._named.values():
-            if (one.letter, one.index) == (letter, index):
-                return one.name
+        """Return the name of an unknown."""
+        for quantity in self._named.values():
+            if (quantity.letter, quantity.index) == (letter, index):
+                return quantity.name
         return f"{letter}[{index}]"
 
     def inputs(self) -> list[Quantity]:
-        """All inputs that are unknowns, in the order of u."""
-        every = [one for one in self._named.values() if one.letter == "u"]
-        return [one for one in every if one.index not in self._given]
+        """Return all inputs that are unknowns, in the order of u."""
+        inputs = [quantity for quantity in self._named.values() if quantity.letter == "u"]
+        return [quantity for quantity in inputs if quantity.index not in self._prescribed]
 
     def metabolic_rates(self, numbers: Metabolism) -> list[Quantity]:
-        """Metabolic rates of all muscles, by name of the muscle."""
+        """Return the metabolic rates of all muscles, named like the muscles."""
         rates = self._parts.metabolic_rates(numbers)
-        return [Quantity(name, ca.SX(plain(one))) for name, one in rates.items()]
+        return [Quantity(name, ca.SX(plain(rate))) for name, rate in rates.items()]
 
     @property
     def mass(self) -> float:
-        """Of all links [kg]."""
+        """Mass of all links [kg]."""
         return self._parts.mass
 
     def markers(self) -> list[tuple[Quantity, float]]:
-        """Coordinates of all markers with the weights of these."""
+        """Return the coordinates of all markers, with the weights of these."""
         return [(self._of_part(name), weight) for name, weight in self._parts.markers()]
 
     def _of_part(self, name: str) -> Quantity:
@@ -122,7 +130,7 @@ class Quantities:
     def _joints(self) -> Iterator[Quantity]:
         e, symbols = self._phase.equations, self._phase.symbols
         lifted = e.coordinates.lifted(ca.vertsplit(symbols["a"]))
-        own = {letter: _places(symbols[letter]) for letter in "qva"}
+        places = {letter: _places(symbols[letter]) for letter in "qva"}
         for joint in e.system.robot.joints:
             values = {
                 "position": ("q", plain(e.coordinates.q[joint.q])),
@@ -130,7 +138,7 @@ class Quantities:
                 "acceleration": ("a", lifted[joint.v]),
             }
             for kind, (letter, value) in values.items():
-                yield _quantity(f"{joint.name}.{kind}", ca.SX(value), letter, own[letter])
+                yield _quantity(f"{joint.name}.{kind}", ca.SX(value), letter, places[letter])
 
     def _bodies(self) -> Iterator[Quantity]:
         e, symbols = self._phase.equations, self._phase.symbols
@@ -163,8 +171,8 @@ class Quantities:
             yield Quantity(f"{joint.name}.effort", ca.SX(plain(total[joint.v])))
 
     def _of_frame(self, name: str) -> Quantity | None:
-        frame, _, rest = name.partition(".")
-        kind, _, axis = rest.partition(".")
+        frame, _, component = name.partition(".")
+        kind, _, axis = component.partition(".")
         k, robot = self._phase.equations.k, self._phase.equations.system.robot
         if kind not in ("position", "velocity") or axis not in tuple(_AXES):
             return None
@@ -176,14 +184,15 @@ class Quantities:
 
 
 class PartQuantities:
-    """Numbers of sensors and parts by name, as tables call them; made when they are asked for."""
+    """Numbers of sensors and parts by the names of their columns, built on first use."""
 
     def __init__(self, equations: Equations, sensors: Sequence[Sensor] = ()) -> None:
-        self._e, self._shown = equations, dict[str, list[Any]]()
+        self._e = equations
+        self._outputs_of_parts = dict[str, list[Any]]()
         self._sensors = {
-            ".".join(filter(None, (one.name, component))): (one, i)
-            for one in sensors
-            for i, component in enumerate(one.components)
+            ".".join(filter(None, (sensor.name, component))): (sensor, i)
+            for sensor in sensors
+            for i, component in enumerate(sensor.components)
         }
         self._outputs = {
             output.name: (part, i)
@@ -192,22 +201,22 @@ class PartQuantities:
         }
         self._loads = {
             f"{joined.link}.load.{component}": (joined, i)
-            for joined in joined_links(equations.system.robot)
+            for joined in find_joint_links(equations.system.robot)
             for i, component in enumerate(_LOAD)
         }
         self._reactions = SymbolicReactions(equations)
 
     @cached_property
     def names(self) -> dict[str, None]:
-        """All names: of sensors, of parts, then of loads of joints."""
+        """Names of sensors, of parts, then of loads of joints."""
         return dict.fromkeys((*self._sensors, *self._outputs, *self._loads))
 
     def matching(self, pattern: str) -> list[str]:
-        """Names of a pattern."""
-        return [one for one in self.names if fnmatchcase(one, pattern)]
+        """Return the names that match a pattern."""
+        return [name for name in self.names if fnmatchcase(name, pattern)]
 
     def unit(self, name: str) -> str:
-        """Unit of the number of a name."""
+        """Return the unit of a named number."""
         if name in self._sensors:
             return self._sensors[name][0].unit
         if name in self._loads:
@@ -216,34 +225,34 @@ class PartQuantities:
         return [*numbers_of(part)][i].unit
 
     def markers(self) -> Iterator[tuple[str, float]]:
-        """Coordinates of markers, and the weights of these."""
+        """Yield the coordinates of markers, and the weights of these."""
         for name, (sensor, _) in self._sensors.items():
-            if hasattr(sensor, "weight") and sensor.weight > 0.0:
+            if sensor.weight > 0.0:
                 yield name, float(sensor.weight)
 
     def metabolic_rates(self, numbers: Metabolism) -> dict[str, Any]:
-        """Muscle -> expression of its metabolic rate [W].
+        """Return the metabolic rate of each muscle [W] as an expression.
 
         Args:
-            numbers: Of the fibres.
+            numbers: Properties of the fibres.
         """
-        e, found = self._e, dict[str, Any]()
+        e, rates = self._e, dict[str, Any]()
         for part in e.system.loads.actuators:
-            if hasattr(part, "metabolic_rate"):
+            if part.has_metabolic_rate:
                 with tracing(part):
-                    found[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
-        return found
+                    rates[part.name] = e.with_symbols(part).metabolic_rate(e.k, e.x, e.u, numbers)
+        return rates
 
     @property
     def mass(self) -> float:
-        """Of all links [kg]."""
-        return float(sum(one.mass for one in self._e.system.model.inertias))
+        """Mass of all links [kg]."""
+        return float(sum(inertia.mass for inertia in self._e.system.model.inertias))
 
     def value(self, name: str) -> Any:
-        """The number of a name, an expression or a float.
+        """Return a named number as an expression or a float.
 
         Raises:
-            Untraceable: Names a part that has no symbolic form.
+            Untraceable: A part has no symbolic form; the message names it.
         """
         if name in self._loads:
             joined, i = self._loads[name]
@@ -255,7 +264,7 @@ class PartQuantities:
         return self._values(part)[i]
 
     def _measured(self, sensor: Sensor) -> list[Any]:
-        if sensor.name not in self._shown:
+        if sensor.name not in self._outputs_of_parts:
             now = None
             if sensor.level >= Measures.ACCELERATION:
                 now = self._now(np.zeros(0))
@@ -263,38 +272,40 @@ class PartQuantities:
                 now = now._replace(reactions=self._reactions.felt)
             with tracing(sensor):
                 values = sensor.measure(self._e.k, self._e.x, now)
-            self._shown[sensor.name] = _flat(values)
-        return self._shown[sensor.name]
+            self._outputs_of_parts[sensor.name] = _flat(values)
+        return self._outputs_of_parts[sensor.name]
 
     def _values(self, part: Part) -> list[Any]:
-        """What a part shows, its numbers one after the other."""
-        if part.name not in self._shown:
-            e, own = self._e, self._e.own(part)
+        """Return the outputs of a part as numbers, one after the other."""
+        if part.name not in self._outputs_of_parts:
+            e, own = self._e, self._e.with_symbols(part)
             with tracing(part):
-                shown = own.show(e.k, e.x, e.u, self._now(self._rows[part]))
-            pairs = zip(part.outputs, shown, strict=True)
-            found = [one for out, value in pairs if not out.is_drawn for one in _flat(value)]
-            self._shown[part.name] = found
-        return self._shown[part.name]
+                outputs = own.show(e.k, e.x, e.u, self._now(self._rows[part]))
+            pairs = zip(part.outputs, outputs, strict=True)
+            values = [x for out, value in pairs if not out.is_drawn for x in _flat(value)]
+            self._outputs_of_parts[part.name] = values
+        return self._outputs_of_parts[part.name]
 
     @cached_property
     def _rows(self) -> dict[Part, Any]:
-        """Parts that show something, and the multipliers of their rows."""
+        """Parts with outputs, and the multipliers of their rows."""
         e, lam = self._e, numbers(self._e.symbols["l"])
-        every, first = dict[Part, Any](), 0
-        for block in e.system.held.constraints.blocks:
-            every[block.part] = lam[first : first + len(block.rows)]
+        multipliers, first = dict[Part, Any](), 0
+        for block in e.system.bilateral.constraints.blocks:
+            multipliers[block.part] = lam[first : first + len(block.rows)]
             first += len(block.rows)
         none = np.zeros(0)
-        every.update((part, none) for part in (*e.system.loads.actuators, *e.system.loads.forces))
-        return {part: own for part, own in every.items() if part.outputs}
+        multipliers.update(
+            (part, none) for part in (*e.system.loads.actuators, *e.system.loads.forces)
+        )
+        return {part: values for part, values in multipliers.items() if part.outputs}
 
     def _now(self, lam: Any) -> Now:
         e = self._e
         lifted = e.coordinates.lifted(scalars(e.symbols["a"]))
-        whole = np.empty(len(lifted), dtype=object)
-        whole[:] = [number(ca.SX(one)) for one in lifted]
-        return Now(whole, lam)
+        a = np.empty(len(lifted), dtype=object)
+        a[:] = [number(ca.SX(value)) for value in lifted]
+        return Now(a, lam)
 
 
 def _flat(values: Any) -> list[Any]:
@@ -302,7 +313,7 @@ def _flat(values: Any) -> list[Any]:
 
 
 def _places(symbols: Any) -> dict[int, int]:
-    return {one.element_hash(): i for i, one in enumerate(ca.vertsplit(symbols))}
+    return {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(symbols))}
 
 
 def _quantity(name: str, value: Any, letter: str, places: dict[int, int]) -> Quantity:
@@ -311,34 +322,36 @@ def _quantity(name: str, value: Any, letter: str, places: dict[int, int]) -> Qua
 
 
 def input_labels(system: Any) -> list[str]:
-    """Names of u: `<joint>.effort` where that is the command, `<name>.command`, or their own."""
-    loads, found = system.loads, [""] * len(system.loads.idle)
+    """Return the names of u: `<joint>.effort` for efforts, `<name>.command`, or those of parts."""
+    loads, labels = system.loads, [""] * len(system.loads.idle)
     for part, names in zip(loads.actuators, command_names(loads.actuators), strict=True):
         for i, name in enumerate(names):
             is_effort = not part.takes and name in part.joints
             kind = ".effort" if is_effort else ".command"
-            found[part.u.start + i] = f"{name}{kind}" if part.joints else name
+            labels[part.u.start + i] = f"{name}{kind}" if part.joints else name
     for part in loads.forces:
         if part.inputs:
-            found[part.u] = input_names(part)
-    return found
+            labels[part.u] = input_names(part)
+    return labels
 
 
 def multiplier_names(e: Any) -> list[str]:
-    """Names of the rows that act."""
-    rigid = e.system.held.constraints.blocks
-    found = [row.name for block in rigid for row in block.rows]
-    every = [row.name for row in e.system.multiplier_rows]
-    return found + [every[slot] for slot in e.unilateral.slots[: len(e.acting.J) - len(found)]]
+    """Return the names of the active rows."""
+    rigid = e.system.bilateral.constraints.blocks
+    names = [row.name for block in rigid for row in block.rows]
+    all_names = [row.name for row in e.system.multiplier_rows]
+    slots = e.unilateral.slots[: len(e.active_rows.J) - len(names)]
+    return names + [all_names[slot] for slot in slots]
 
 
 class Quantity(NamedTuple):
-    """A number of a motion.
+    """A scalar quantity of a motion.
 
     Attributes:
-        name: As tasks call it.
-        letter: That of the unknown that it is; empty for other expressions.
-        index: Its place in that.
+        name: Name in tasks.
+        value: Expression of the symbols of the phase.
+        letter: Letter of the unknown; empty if the quantity is not an unknown.
+        index: Index among the unknowns of this letter.
     """
 
     name: str
@@ -347,11 +360,11 @@ class Quantity(NamedTuple):
     index: int = -1
 
 
-def stops(phase: PhaseEquations) -> list[Quantity]:
-    """Gaps of unilateral stops, ropes and contacts, which a motion keeps open.
+def unilateral_gaps(phase: PhaseEquations) -> list[Quantity]:
+    """Return the gaps of unilateral stops, ropes and contacts, which a motion keeps open.
 
     Raises:
-        ModelError: Names a part whose force jumps otherwise.
+        ModelError: The force of a part is discontinuous in another way; the message names it.
     """
     e = phase.equations
     rows = e.system.multiplier_rows
@@ -359,17 +372,15 @@ def stops(phase: PhaseEquations) -> list[Quantity]:
         gaps = e.unilateral.gaps()
     except Untraceable as error:
         names = ", ".join(rows[slot].name for slot in e.unilateral.slots)
-        raise ModelError(
-            f"{names}: {error}; accepted: forces that are smooth, such as joint_friction"
-        ) from error
+        raise ModelError(f"{names}: {error}; use smooth forces, such as joint_friction") from error
     return [Quantity(f"gap of {rows[slot].name}", ca.SX(gap)) for slot, gap in gaps.items()]
 
 
 def input_bounds(system: Any) -> tuple[Array, Array]:
-    """Bounds within which inputs have an effect, shape (nu,) each."""
+    """Return the bounds within which inputs have an effect, shape (nu,) each."""
     lower, upper = np.full((2, len(system.loads.idle)), np.inf) * [[-1.0], [1.0]]
     for part in (*system.loads.actuators, *system.loads.forces):
         if part.inputs:
-            lower[part.u] = [one.lower for one in part.inputs]
-            upper[part.u] = [one.upper for one in part.inputs]
+            lower[part.u] = [channel.lower for channel in part.inputs]
+            upper[part.u] = [channel.upper for channel in part.inputs]
     return lower, upper

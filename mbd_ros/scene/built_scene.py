@@ -32,7 +32,7 @@ from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics, ObservedLoops
 from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics, SampleSolver
-from mbd_ros.methods.inverse_dynamics.standing import Nearness, carriers
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds, find_root_joints
 from mbd_ros.methods.projection.assembly import Stabilization
 from mbd_ros.methods.simulation.safe_command import SafeCommand
 from mbd_ros.scene.origin import Origin
@@ -56,11 +56,11 @@ class Scene:
         origin: The file, or what else its sections came from.
         robot: The robot, with the inertia of its drives.
         parts: The built sections, by key; the robot there is without its drives.
-        entries: The sections as given, by key.
+        entries: The sections of the file, by key.
         sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
-        inputs: What parts take from outside while they run: u.
-        internals: States of parts of their own: z.
+        inputs: Inputs u of all parts.
+        internals: Internal states z of all parts.
     """
 
     origin: Origin
@@ -77,14 +77,16 @@ class Scene:
         parts, inputs = bind_inputs(self.sections, self.parts)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "inputs", inputs)
-        built = (
-            (section, parts[section.key]) for section in self.sections if section.key in parts
+        all_parts = (
+            part
+            for section in self.sections
+            if section.key in parts
+            for part in parts_in(section, parts[section.key])
         )
-        every = (part for section, given in built for part in parts_in(section, given))
-        holders = [part for part in every if getattr(part, "internal", ())]
-        object.__setattr__(self, "internals", Internals(holders))
-        given = self.entries.get("initial") or {}
-        z = first_values(self.internals, given.get("internal"), f"{self.name}: initial")
+        with_states = [part for part in all_parts if getattr(part, "internal", ())]
+        object.__setattr__(self, "internals", Internals(with_states))
+        initial = self.entries.get("initial") or {}
+        z = first_values(self.internals, initial.get("internal"), f"{self.name}: initial")
         object.__setattr__(self, "_initial_internals", z)
 
     @property
@@ -121,11 +123,11 @@ class Scene:
     @property
     def forces(self) -> tuple[Load, ...]:
         """Loads that nobody commands, of all sections."""
-        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
+        return tuple(part for part in self._offering("force") if not part.is_actuator)
 
     @property
-    def acting(self) -> tuple[Load, ...]:
-        """Those of the forces that act by themselves: nobody gives them an input."""
+    def forces_without_input(self) -> tuple[Load, ...]:
+        """Forces that take no input."""
         return tuple(force for force in self.forces if not force.inputs)
 
     @property
@@ -140,7 +142,7 @@ class Scene:
 
     @property
     def sensors(self) -> "tuple[Sensor, ...]":
-        """What is measured, of all sections."""
+        """Sensors of all sections."""
         return self._offering("measure")
 
     @property
@@ -233,9 +235,9 @@ class Scene:
         )
 
     @property
-    def carriers(self) -> tuple[str, ...]:
+    def root_joints(self) -> tuple[str, ...]:
         """Joints that stand for a free base, where forces of contacts are unknown."""
-        return carriers(self.robot, self.actuated if self.actuators else None)
+        return find_root_joints(self.robot, self.actuated if self.actuators else None)
 
     def _offering(self, method: str) -> tuple[Any, ...]:
         """Parts of all sections whose parts have a method, in the order of the table."""
@@ -263,7 +265,7 @@ class Scene:
         if not initial.get("internal"):
             return replace(self, parts=parts)
         built = [(s, self.parts[s.key]) for s in self.sections if s.key in keys]
-        gone = {part.name for section, given in built for part in parts_in(section, given)}
+        gone = {part.name for section, parts in built for part in parts_in(section, parts)}
         values = {n: z for n, z in initial["internal"].items() if n.partition(".")[0] not in gone}
         entries = {**self.entries, "initial": {**initial, "internal": values}}
         return replace(self, parts=parts, entries=entries)
@@ -279,7 +281,7 @@ class Scene:
         Args:
             forces: Force terms besides those of the scene.
             solver: Entry that replaces that of the scene.
-            sources: What gives the inputs of parts, by name of the part.
+            sources: Sources of inputs, by name of the part.
 
         Raises:
             SceneError: The tier cannot serve the scene, or a package is missing.
@@ -294,13 +296,13 @@ class Scene:
             raise SceneError(f"{self.name}: solver: {error}") from error
 
     def system_loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
-        """Everything that acts on its joints; arguments as for `system`."""
+        """Return everything that exerts forces on the joints; for the arguments see `system`."""
         every = (*self.forces, *forces, *self.wrenches.values())
-        given = self.inputs.sources(sources)
-        return Loads(self.robot.model.nv, every, self.commanded, given)
+        input_sources = self.inputs.sources(sources)
+        return Loads(self.robot.model.nv, every, self.commanded, input_sources)
 
     def chosen_solver(self, entry: Mapping[str, str] | None) -> "Solver":
-        """The solver of an entry; without one that of the scene."""
+        """Return the solver of an entry, or that of the scene without an entry."""
         if entry is None:
             return self.solver
         solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
@@ -311,7 +313,7 @@ class Scene:
         *,
         with_bounds: bool = False,
         contacts: Collection[str] = (),
-        near: Nearness | None = None,
+        thresholds: StanceThresholds | None = None,
     ) -> SampleSolver:
         """A solver with its own Pinocchio data, for the independent joints.
 
@@ -322,26 +324,26 @@ class Scene:
         self._refuse_internal("inverse dynamics")
         if self.has_loops or with_bounds or contacts:
             return ObservedLoops(
-                self.closed_loop(with_bounds=with_bounds, contacts=contacts, near=near)
+                self.closed_loop(with_bounds=with_bounds, contacts=contacts, thresholds=thresholds)
             )
         loads = tuple(self.wrenches.values())
-        return InverseDynamics(self.robot, self.couplings, loads, self.acting)
+        return InverseDynamics(self.robot, self.couplings, loads, self.forces_without_input)
 
     def closed_loop(
         self,
         *,
         with_bounds: bool = False,
         contacts: Collection[str] = (),
-        near: Nearness | None = None,
+        thresholds: StanceThresholds | None = None,
     ) -> ClosedLoopInverseDynamics:
         """A solver for the efforts of `actuated` and all multipliers, with its own data.
 
         Args:
             with_bounds: Whether efforts keep the limits of their actuators, and stops, dry
-                friction and limited drives exert what their law lets them.
+                friction and limited drives exert at most what their law allows.
             contacts: Names of rigid contacts whose forces are unknown, see `unmeasured_contacts`;
                 joints that stand for a free base exert nothing then.
-            near: What counts as on the ground.
+            thresholds: Which contacts count as on the ground.
 
         Raises:
             SceneError: An actuated joint is unknown or repeated.
@@ -349,20 +351,20 @@ class Scene:
         self._refuse_internal("inverse dynamics")
         loads = tuple(self.wrenches.values())
         try:
-            limits, free = self._effort_limits(), self.carriers if contacts else ()
-            acting = {name: limits[name] for name in limits if name not in free}
-            efforts = joint_efforts(self.robot, list(acting), list(acting.values()))
+            limits, free = self._effort_limits(), self.root_joints if contacts else ()
+            driven = {name: limits[name] for name in limits if name not in free}
+            efforts = joint_efforts(self.robot, list(driven), list(driven.values()))
             return ClosedLoopInverseDynamics(
                 self.robot,
                 self.couplings,
                 self.constraints,
                 efforts,
                 loads,
-                self.acting,
+                self.forces_without_input,
                 with_bounds=with_bounds,
                 contacts=contacts,
-                carriers=free,
-                near=near,
+                root_joints=free,
+                thresholds=thresholds,
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error
@@ -376,7 +378,7 @@ class Scene:
         self._refuse_internal("a controller")
         if self.muscles:
             raise SceneError(
-                f"{self.name}: a controller drives actuators, no muscles; leave them out"
+                f"{self.name}: a controller drives actuators but no muscles; leave the muscles out"
             )
         loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
         try:
@@ -395,7 +397,7 @@ class Scene:
         if self.unmeasured:
             parts = ", ".join(self.unmeasured)
             raise SceneError(
-                f"{self.name}: {who} knows no internal states, which {parts} has; leave it out"
+                f"{self.name}: {who} cannot know the internal states of {parts}; leave it out"
             )
 
     def _effort_limits(self) -> dict[str, float]:
@@ -463,29 +465,29 @@ def bind_inputs(
         parts: Built sections by key.
     """
     built = [(s, parts[s.key]) for s in sections if s.key in parts]
-    every = [part for section, given in built for part in parts_in(section, given)]
+    every = [part for section, section_parts in built for part in parts_in(section, section_parts)]
     takers = [p for p in every if getattr(p, "inputs", ()) or getattr(p, "internal", ())]
-    takers.sort(key=lambda part: not hasattr(part, "command"))  # stable
+    takers.sort(key=lambda part: not part.is_actuator)  # stable
     after, inputs = bound(takers)
     swapped = {id(a): b for a, b in zip(takers, after, strict=True) if a is not b}
     if not swapped:
         return dict(parts), inputs
-    return {key: _replaced(given, swapped) for key, given in parts.items()}, inputs
+    return {key: _replaced(section_parts, swapped) for key, section_parts in parts.items()}, inputs
 
 
-def first_values(internals: Internals, given: Any, where: str) -> Array:
+def first_values(internals: Internals, values: Any, where: str) -> Array:
     """Internal states at the start, NaN where nothing is given, shape (nz,).
 
     Args:
         internals: Of the scene.
-        given: Values by name, `<part>.<name>: 0.1` or `<part>: {<name>: 0.1}`; None for none.
+        values: Values by name, `<part>.<name>: 0.1` or `<part>: {<name>: 0.1}`; None for none.
         where: File and key, for the messages.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     z = np.full(internals.nz, np.nan)
-    for name, value in _flat(given or {}):
+    for name, value in _flat(values or {}):
         if name not in internals.names:
             accepted = ", ".join(internals.names) or "none, no part has internal states"
             raise SceneError(f"{where}.internal: unknown '{name}', accepted: {accepted}")
@@ -497,18 +499,18 @@ def first_values(internals: Internals, given: Any, where: str) -> Array:
     return z
 
 
-def _flat(given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Names with dots, and values."""
-    for name, value in given.items():
+    for name, value in values.items():
         if isinstance(value, Mapping):
             yield from ((f"{name}.{rest}", one) for rest, one in _flat(value))
         else:
             yield name, value
 
 
-def _replaced(given: Any, swapped: Mapping[int, Any]) -> Any:
-    if type(given) in (tuple, list):
-        return tuple(swapped.get(id(part), part) for part in given)
-    if isinstance(given, dict):
-        return {name: swapped.get(id(part), part) for name, part in given.items()}
-    return swapped.get(id(given), given)
+def _replaced(built: Any, swapped: Mapping[int, Any]) -> Any:
+    if type(built) in (tuple, list):
+        return tuple(swapped.get(id(part), part) for part in built)
+    if isinstance(built, dict):
+        return {name: swapped.get(id(part), part) for name, part in built.items()}
+    return swapped.get(id(built), built)

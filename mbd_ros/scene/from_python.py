@@ -38,18 +38,18 @@ def scene_from(
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    given = plain(entries or {}, NO_FILE)
+    entry = plain(entries or {}, NO_FILE)
     if urdf is not None:
-        robot = given.get("robot") or {}
+        robot = entry.get("robot") or {}
         if isinstance(robot, dict):
             given_by = {"urdf", "osim", "mjcf", "description_topic"}
             if description is not None or not given_by.isdisjoint(robot):
                 raise SceneError(f"{NO_FILE}: robot: its description is given twice")
             if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
-                description, given["robot"] = urdf, robot
+                description, entry["robot"] = urdf, robot
             else:
-                given["robot"] = {**robot, "urdf": _robot_file(str(urdf))}
-    return build_scene(Origin(description=description), given)
+                entry["robot"] = {**robot, "urdf": _robot_file(str(urdf))}
+    return build_scene(Origin(description=description), entry)
 
 
 def plain(value: Any, where: str, depth: int = 0) -> Any:

@@ -19,7 +19,7 @@ class WhenEntry:
 
 @dataclass(frozen=True)
 class ResetEntry:
-    """What happens at once: an impact, then joints under other names."""
+    """The instantaneous change at the end of a phase: an impact, then a relabelling of joints."""
 
     impact: Sequence[str] | None = None
     exchange: Mapping[str, Any] | None = None
@@ -29,7 +29,7 @@ class ResetEntry:
 
 @dataclass(frozen=True)
 class GuardEntry:
-    """What ends a phase."""
+    """The event that ends a phase."""
 
     touch_down: str | None = None
     lift_off: str | None = None
@@ -75,7 +75,7 @@ class PhasePlan:
     Attributes:
         name: Unique in the scene.
         contacts: Names of the contacts that are on.
-        held: Whether these are held closed.
+        keeps_closed: Whether these stay closed (the key `held`).
         constraints: Names of the constraints that are on; None for all.
         couplings: Dependent joints that are; None for all.
         guards: What ends it, in the order of the file.
@@ -85,7 +85,7 @@ class PhasePlan:
 
     name: str
     contacts: tuple[str, ...]
-    held: bool
+    keeps_closed: bool
     constraints: tuple[str, ...] | None
     couplings: tuple[str, ...] | None
     guards: tuple[GuardPlan, ...]
@@ -93,12 +93,12 @@ class PhasePlan:
     where: str
 
     @property
-    def told(self) -> str:
-        """What ends it, for people."""
+    def summary(self) -> str:
+        """Guards and the phases that follow, as text."""
         return ", ".join(f"{guard.name} -> {guard.then}" for guard in self.guards)
 
     @property
     def on(self) -> str:
-        """The contacts that are on, for people."""
-        how = "held" if self.held else "open or closed"
+        """Active contacts as text."""
+        how = "held" if self.keeps_closed else "open or closed"
         return f"{how}: {', '.join(self.contacts)}" if self.contacts else "no contact"

@@ -78,7 +78,7 @@ def build_phased_system(
 
 
 class _Systems:
-    """What all phases of a scene are made of."""
+    """Systems of all phases of a scene; phases share contacts and rows."""
 
     def __init__(self, scene: Scene, loads: Loads, solver: Solver) -> None:
         self.scene, self.robot, self.loads, self.solver = scene, scene.robot, loads, solver
@@ -96,20 +96,20 @@ class _Systems:
         dependent = [CouplingRows(self.robot, scene.couplings)] if scene.couplings.pairs else []
         self.layout = RowLayout([*dependent, *scene.constraints])
         self.slot = {row.name: i for i, row in enumerate(self.layout.rows)}
-        self.held: dict[str, HeldContact] = {}
+        self.closed_contacts: dict[str, HeldContact] = {}
 
     def build(self) -> PhasedSystem:
         """The systems, in the order of the scene."""
         phases, systems = [], []
         for plan in self.plans.values():
-            bare = self.system(plan, self.rows(plan, plan.contacts if plan.held else ()))
+            bare = self.system(plan, self.rows(plan, plan.contacts if plan.keeps_closed else ()))
             at = {row.name: i for i, row in enumerate(bare.multiplier_rows)}
             following = [list(self.plans).index(guard.then) for guard in plan.guards]
             resets = [self.reset(plan, guard) for guard in plan.guards]
             phases.append(self.exits.phase(plan, at, following, resets))
         for plan, phase in zip(self.plans.values(), phases, strict=True):
             guards = PhaseGuards(plan.name, phase.exits, phase.checks)
-            rows = self.rows(plan, plan.contacts if plan.held else ())
+            rows = self.rows(plan, plan.contacts if plan.keeps_closed else ())
             systems.append(self.system(plan, rows, (guards,)))
         slots = [self.slots(system) for system in systems]
         wish = (self.scene.entries.get("initial") or {}).get("phase")
@@ -136,32 +136,32 @@ class _Systems:
             raise SceneError(f"{plan.where}: {error}") from error
 
     def rows(
-        self, plan: PhasePlan, held: Iterable[str], free: Iterable[str] = ()
+        self, plan: PhasePlan, closed: Iterable[str], free: Iterable[str] = ()
     ) -> list[Constraint]:
         """Constraints of a phase, with some contacts held and others that may bounce."""
-        held, free = set(held), set(free)
-        if not plan.held:
-            free |= set(plan.contacts) - held
-        found: list[Constraint] = []
+        closed, free = set(closed), set(free)
+        if not plan.keeps_closed:
+            free |= set(plan.contacts) - closed
+        rows_: list[Constraint] = []
         for part in self.scene.constraints:
             name = part.name
-            if name in held:
-                found.append(self.hold(name, plan.where))
+            if name in closed:
+                rows_.append(self.hold(name, plan.where))
             elif self.contacts.get(name) is part:
                 if name in free or name not in self.named:
-                    found.append(part)
+                    rows_.append(part)
             elif plan.constraints is None or name in plan.constraints:
-                found.append(part)
-        return found
+                rows_.append(part)
+        return rows_
 
     def hold(self, name: str, where: str) -> HeldContact:
         """A contact that is held closed."""
-        if name not in self.held:
+        if name not in self.closed_contacts:
             try:
-                self.held[name] = HeldContact(self.robot, self.contacts[name])
+                self.closed_contacts[name] = HeldContact(self.robot, self.contacts[name])
             except ModelError as error:
                 raise SceneError(f"{where}.contacts: {error}") from error
-        return self.held[name]
+        return self.closed_contacts[name]
 
     def couplings(self, plan: PhasePlan) -> Couplings:
         """The couplings that are on."""
@@ -176,23 +176,23 @@ class _Systems:
                 "accepted: a coupling of the section couplings"
             )
         pairs = zip(every.dependent, every.pairs, strict=True)
-        kept = {
+        continuing = {
             name: Coupling(every.parents[name], pair.function)
             for name, pair in pairs
             if name in plan.couplings
         }
-        return Couplings(self.robot, kept)
+        return Couplings(self.robot, continuing)
 
     def slots(self, system: System) -> Any:
         """Where the multipliers of a system stand among those of the scene."""
         return np.array([self.slot[row.name] for row in system.multiplier_rows], dtype=np.intp)
 
     def reset(self, plan: PhasePlan, guard: GuardPlan) -> PhaseReset:
-        """What happens at once where a guard fires."""
+        """Return the instantaneous change where a guard fires."""
         then, size = self.plans[guard.then], len(self.layout.rows)
         relabelling = relabelling_of(self.scene, guard.reset, f"{guard.where}.reset")
         struck = self.struck(guard, relabelling is not None)
-        stay = set(then.contacts) if then.held else set[str]()
+        stay = set(then.contacts) if then.keeps_closed else set[str]()
         if relabelling is not None:  # contacts go by their old names still
             stay = {name for name in struck if not self.contacts[name].law.restitution}
         is_struck = bool(struck)
@@ -226,18 +226,18 @@ class _Systems:
         if guard.reset.impact is not None:
             return set(guard.reset.impact)
         name = guard.entry.touch_down
-        is_rigid = name is not None and hasattr(self.contacts[name], "residual")
+        is_rigid = name is not None and self.contacts[name].is_constraint
         return {name} if is_relabelled and is_rigid and name is not None else set()
 
     def holds(self, plan: PhasePlan, contacts: Iterable[str]) -> set[str]:
         """Names of everything that holds whatever force that takes in a phase."""
-        held = set(contacts) if plan.held else set[str]()
-        rigid = (part.name for part in self.rows(plan, held) if part.law.is_rigid)
+        closed = set(contacts) if plan.keeps_closed else set[str]()
+        rigid = (part.name for part in self.rows(plan, closed) if part.law.is_rigid)
         return {*rigid, *self.couplings(plan).dependent}
 
 
 class PhaseExits:
-    """What ends the phases of a scene, and what may not happen in them.
+    """Guards that end the phases of a scene, and conditions that hold during them.
 
     Args:
         contacts: All contacts by name.
@@ -268,15 +268,15 @@ class PhaseExits:
         looked_at = {(g.entry.lift_off, "pulls") for g in plan.guards}
         looked_at |= {(g.entry.slip, "slips") for g in plan.guards}
         looked_at |= {(g.entry.tip, "tips") for g in plan.guards}
-        held = plan.contacts if plan.held else ()
-        every = [(name, *one) for name in held for one in self.checks(name, at)]
+        closed = plan.contacts if plan.keeps_closed else ()
+        every = [(name, *checked) for name in closed for checked in self.checks(name, at)]
         demands = tuple(check for _, _, check in every)
         checks = tuple(check for name, word, check in every if (name, word) not in looked_at)
         limit = float("inf") if plan.limit is None else plan.limit
         return Phase(plan.name, exits, checks, demands, limit)
 
     def checks(self, name: str, at: Mapping[str, int]) -> list[tuple[str, Check]]:
-        """What a contact that is held may not do."""
+        """Return the conditions that a closed contact must meet: it neither lifts nor slips."""
         pulls = Check(
             f"{name}_pulls",
             name,
@@ -366,7 +366,7 @@ class PhaseExits:
         return [at[row] for row in rows if row in at]
 
     def _room(self, name: str, at: Mapping[str, int]) -> ConeRoom:
-        """What friction of a contact that is held has left."""
+        """Return the margin to the friction cone of a closed contact."""
         tangents = self._along(name, at, 1), self._along(name, at, 2)
         return ConeRoom(self._friction(name), self._along(name, at, 0), tangents)
 
@@ -388,13 +388,15 @@ def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling |
     chosen = list(dict.fromkeys([*sources, *shifts, *(n for s in sources.values() for n in s)]))
     if not chosen:
         return None
-    own, inner = ([n for n in chosen if n in kind] for kind in (joints, states))
+    joint_names, inner = ([n for n in chosen if n in kind] for kind in (joints, states))
     for name, given in sources.items():
         if any((source in states) != (name in states) for source in given):
             raise SceneError(f"{where}: {name}: a joint and an internal state are not the same")
-    A, B = _matrix(own, sources, where), _matrix(inner, sources, where)
-    b = np.array([shifts.get(name, 0.0) for name in own])
-    q, v = (np.array([getattr(joints[n], key) for n in own], dtype=np.intp) for key in "qv")
+    A, B = _matrix(joint_names, sources, where), _matrix(inner, sources, where)
+    b = np.array([shifts.get(name, 0.0) for name in joint_names])
+    q, v = (
+        np.array([getattr(joints[n], key) for n in joint_names], dtype=np.intp) for key in "qv"
+    )
     return Relabelling(q, v, A, b, np.array([states[n] for n in inner], dtype=np.intp), B)
 
 
@@ -402,12 +404,12 @@ def _sources(entry: ResetEntry, names: Collection[str], where: str) -> Sources:
     """Name -> what it is made of, by factors."""
     sources = {name: dict(given) for name, given in (entry.relabel or {}).items()}
     for name, given in sources.items():
-        for one in (name, *given):
-            known(one, names, _WHAT, f"{where}.relabel.{name}")
+        for source in (name, *given):
+            known(source, names, _WHAT, f"{where}.relabel.{name}")
     for name, swapped in (entry.exchange or {}).items():
         key = f"{where}.exchange.{name}"
-        one = swapped if isinstance(swapped, Mapping) else {"joint": swapped}
-        other, factor = schema.call(_swapped, one, key)
+        source = swapped if isinstance(swapped, Mapping) else {"joint": swapped}
+        other, factor = schema.call(_swapped, source, key)
         for each in {known(name, names, _WHAT, key), known(other, names, _WHAT, key)}:
             if each in sources:
                 raise SceneError(f"{key}: {each} is relabelled twice")
@@ -421,7 +423,7 @@ def _swapped(joint: str, factor: NotZero = 1.0) -> tuple[str, float]:
 
 
 def _matrix(names: Sequence[str], sources: Sources, where: str) -> Array:
-    """What makes the values of all names of those before, shape (n, n)."""
+    """Return the matrix that maps old values to new ones, shape (n, n)."""
     matrix = np.eye(len(names))
     for name in (name for name in names if name in sources):
         row = names.index(name)

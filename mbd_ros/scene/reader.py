@@ -8,7 +8,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.models.model_entry import entries_of, with_model
 from mbd_ros.scene.origin import Origin
-from mbd_ros.scene.reading.building import Kept, build, foreign_keys, present, table_of
+from mbd_ros.scene.reading.building import Prebuilt, build, foreign_keys, present, table_of
 from mbd_ros.scene.reading.robot_entry import read_entry
 from mbd_ros.scene.schema.locate import find_scene
 
@@ -43,7 +43,7 @@ def load_any(path: str | Path) -> Any:
 
 
 def build_any(origin: Origin, entries: Mapping[str, Any]) -> Any:
-    """The same of entries that were read."""
+    """Build a scene of robots or particles from entries."""
     if not has_particles(entries):
         return build_scene(origin, entries)
     from mbd_ros.scene.particles.particle_scene import build_particle_scene
@@ -64,13 +64,13 @@ def has_particles(entries: Mapping[str, Any]) -> bool:
 def build_scene(
     origin: Origin,
     entries: Mapping[str, Any],
-    kept: Kept = Kept(),  # noqa: B008, a constant
+    prebuilt: Prebuilt = Prebuilt(),  # noqa: B008, a constant
 ) -> Scene:
     """A scene of entries that were read.
 
     Args:
         origin: Where they come from.
-        kept: What is built already.
+        prebuilt: Sections and parts that need not be built again.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
@@ -79,10 +79,10 @@ def build_scene(
     foreign = foreign_keys(origin, entries)
     origin, entries = with_model(origin, present(entries))
     sections, code = table_of(origin, entries, foreign)
-    parts, robot = build(origin, entries, sections, kept)
+    parts, robot = build(origin, entries, sections, prebuilt)
     assert robot is not None
     scene = Scene(origin, robot, parts, entries, sections, code)
-    if any(hasattr(part, "said") for part in parts.get("forces", ())):
+    if any(part.description is not None for part in parts.get("forces", ())):
         from mbd_ros.scene.reading.learned_entries import check_models
 
         check_models(scene)

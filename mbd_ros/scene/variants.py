@@ -15,7 +15,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.from_python import plain
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reader import build_scene
-from mbd_ros.scene.reading.building import Kept, present
+from mbd_ros.scene.reading.building import Prebuilt, present
 from mbd_ros.scene.schema.code_permission import code_of_others, is_permitted, permitting
 from mbd_ros.scene.schema.nearest import nearest
 from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys, ordered, parts_in
@@ -26,7 +26,7 @@ AnyKind = TypeVar("AnyKind")
 
 
 def with_sections(scene: AnyKind, /, **sections: Any) -> AnyKind:
-    """A scene with other sections; sections that do not come after them are kept.
+    """A scene with other sections; sections that do not come after them are reused.
 
     Args:
         scene: A scene of robots, or of particles.
@@ -56,11 +56,11 @@ def with_inertias(scene: SceneKind, inertias: Mapping[str, Any]) -> SceneKind:
         robot = robot_reader.with_inertias(scene.parts["robot"], inertias)
     except ModelError as error:
         raise SceneError(f"{origin.name}: robot: {error}") from error
-    return _rebuilt(scene, origin, scene.entries, {"robot"}, Kept({"robot": robot}))
+    return _rebuilt(scene, origin, scene.entries, {"robot"}, Prebuilt({"robot": robot}))
 
 
 def with_numbers(scene: SceneKind, numbers: Mapping[str, Any]) -> SceneKind:
-    """A scene with other numbers; parts, and sections that depend on none of them, are kept.
+    """A scene with other numbers; parts, and sections that depend on none of them, are reused.
 
     Args:
         numbers: Numbers, or lists of them, by `<name>.<argument>`; inertias of links by
@@ -87,12 +87,14 @@ def with_numbers(scene: SceneKind, numbers: Mapping[str, Any]) -> SceneKind:
     touched = [
         section for section in scene.sections if section.key in {p.section for p in changed}
     ]
-    made = Kept()
+    made = Prebuilt()
     if all(section.has_types for section in touched):
-        made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
-        found = _rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
-        if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
-            return found  # of other parts, ours depend on the inertia of drives only
+        made = Prebuilt(
+            parts={section.key: _others(scene, section, changed) for section in touched}
+        )
+        variant = _rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
+        if np.array_equal(variant.robot.model.armature, scene.robot.model.armature):
+            return variant  # of other parts, ours depend on the inertia of drives only
     # What is no part of its own, such as a path, may be what other parts are made of.
     return _rebuilt(scene, origin, entries, keys(touched), made)
 
@@ -102,7 +104,7 @@ def _rebuilt(
     origin: Origin,
     entries: Mapping[str, Any],
     changed: Iterable[str],
-    made: Kept = Kept(),  # noqa: B008, a constant
+    made: Prebuilt = Prebuilt(),  # noqa: B008, a constant
     untouched: Sequence[str] = (),
 ) -> SceneKind:
     """The scene of other entries, without building again what they do not change.
@@ -121,12 +123,12 @@ def _rebuilt(
     for section in ordered(scene.sections):
         if anew.intersection(section.after) and section.key not in untouched:
             anew.add(section.key)
-    kept = {key: part for key, part in scene.parts.items() if key not in anew}
+    unchanged = {key: part for key, part in scene.parts.items() if key not in anew}
     trusted = set(scene.code.values())  # was permitted when the scene was built
     code = code_of_others(entries, tuple(key for key in entries if key in scene.code))
     is_known = trusted.issuperset(code.values()) and set(entries) <= set(keys(scene.sections))
     with permitting(is_permitted() or (bool(trusted) and is_known)):
-        built = build_scene(origin, entries, Kept({**kept, **made.sections}, made.parts))
+        built = build_scene(origin, entries, Prebuilt({**unchanged, **made.sections}, made.parts))
     return _of_class(scene, built)
 
 
@@ -152,12 +154,12 @@ def _without_inertias(
     The inertia is about the mass centre and in the axes of the link: xx, xy, xz, yy, yz, zz, or
     3 x 3; what is not given stays, moments keep their share of the mass.
     """
-    asked = [key for key in numbers if str(key).rpartition(".")[2] in _OF_LINKS]
-    asked = [key for key in asked if str(key).rpartition(".")[0] not in places]
-    if not asked:
+    link_numbers = [key for key in numbers if str(key).rpartition(".")[2] in _OF_LINKS]
+    link_numbers = [key for key in link_numbers if str(key).rpartition(".")[0] not in places]
+    if not link_numbers:
         return dict(numbers), {}
     links, changed = scene.robot.inertias(), dict[str, Any]()
-    for key in asked:
+    for key in link_numbers:
         link, _, word = str(key).rpartition(".")
         if link not in links:
             close = ", ".join(nearest(link, [*places, *links]) or links)
@@ -167,8 +169,10 @@ def _without_inertias(
         value = plain(numbers[key], f"{origin.name}: {key}")
         if not _is_number(value):
             raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
-        given = links[link]
-        mass, centre, moments = changed.get(link, (given.mass, given.lever, given.inertia))
+        inertial = links[link]
+        mass, centre, moments = changed.get(
+            link, (inertial.mass, inertial.lever, inertial.inertia)
+        )
         if word == "mass":
             share = value / mass if f"{link}.inertia" not in numbers and mass else 1.0
             mass, moments = value, share * np.asarray(moments)
@@ -177,7 +181,7 @@ def _without_inertias(
             "com": (mass, value, moments),
             "inertia": (mass, centre, _tensor(value)),
         }[word]
-    return {key: value for key, value in numbers.items() if key not in asked}, changed
+    return {key: value for key, value in numbers.items() if key not in link_numbers}, changed
 
 
 def _tensor(value: Any) -> Any:
@@ -190,16 +194,16 @@ def _tensor(value: Any) -> Any:
 
 def places_of(scene: Scene) -> dict[str, Place]:
     """Name -> place of every entry of which parts were built."""
-    found: dict[str, Place] = {}
+    places: dict[str, Place] = {}
     for section in scene.sections:
-        given, built = scene.entries.get(section.key, {}), scene.parts.get(section.key)
+        named, built = scene.entries.get(section.key, {}), scene.parts.get(section.key)
         if section.form is Form.SINGLE:
-            found.setdefault(section.key, Place(section.key))
+            places.setdefault(section.key, Place(section.key))
         elif section.form is Form.NAMED:
-            found |= {name: Place(section.key, name) for name in given}
-        elif built is not None and len(built) == len(given):  # else it holds parts of others
-            found |= {part.name: Place(section.key, i) for i, part in enumerate(built)}
-    return found
+            places |= {name: Place(section.key, name) for name in named}
+        elif built is not None and len(built) == len(named):  # else it holds parts of others
+            places |= {part.name: Place(section.key, i) for i, part in enumerate(built)}
+    return places
 
 
 def found_place(origin: Origin, places: Mapping[str, Place], key: Any) -> tuple[Place, list[str]]:

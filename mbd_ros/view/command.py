@@ -1,4 +1,4 @@
-"""Words of `mbd-ros view`."""
+"""The command `mbd-ros view`: a scene and its motion in a browser."""
 
 import argparse
 from pathlib import Path
@@ -7,41 +7,53 @@ from typing import TYPE_CHECKING
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
 from mbd_ros.jobs.progress import say, say_all
+from mbd_ros.motion.options import add_topic
 from mbd_ros.scene.schema.locate import path_word
 
 if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
 
+_DURATION = 2.0  # s
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `view` understands."""
+    """Declare the arguments of `view`."""
     add_scene(parser)
     parser.add_argument(
-        "motion", nargs="?", type=path_word, help="result, table or bag; else the scene is run"
+        "motion",
+        nargs="?",
+        type=path_word,
+        help="Result, table or bag. By default the scene is simulated.",
     )
-    parser.add_argument("--ghost", type=path_word, help="a second motion, drawn through")
-    text = "writes one .html that opens from a file without a network, and serves nothing"
+    parser.add_argument("--ghost", type=path_word, help="Second motion, drawn transparently.")
+    text = "Write one .html, which opens from a file without a network, and serve no page."
     parser.add_argument("-o", "--out", type=path_word, metavar="FILE", help=text)
-    parser.add_argument("-t", "--time", type=float, default=2.0, help="simulated s (default: 2)")
+    parser.add_argument(
+        "-t",
+        "--time",
+        type=float,
+        default=_DURATION,
+        help=f"Simulated time [s] (default: {_DURATION:g}).",
+    )
     parser.add_argument(
         "--parameter",
         action="append",
         default=[],
         metavar="PART.ARGUMENT",
-        help="a number of the scene to change on the page; repeat it for more",
+        help="Number of the scene that can be changed on the page; repeat the option for more.",
+    )
+    add_topic(parser)
+    parser.add_argument(
+        "--host", default="127.0.0.1", help="Address of the server (default: %(default)s)."
     )
     parser.add_argument(
-        "--topic",
-        default="/joint_states",
-        help="JointState topic of the bag (default: %(default)s)",
+        "--port", type=int, default=8080, help="Port of the server (default: %(default)s)."
     )
-    parser.add_argument("--host", default="127.0.0.1", help="address (default: %(default)s)")
-    parser.add_argument("--port", type=int, default=8080, help="port (default: %(default)s)")
-    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+    parser.add_argument("--no-browser", action="store_true", help="Do not open a browser.")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say, until Ctrl-C; the exit code."""
+    """Show the page until Ctrl-C, or write it, and return the exit code."""
     from mbd_ros.scene.reader import load_scene
     from mbd_ros.view.page import Page
 
@@ -56,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             page.show(arguments.motion, topic=arguments.topic)
         if arguments.ghost is not None:
             page.show_ghost(arguments.ghost, topic=arguments.topic)
-        say_all(page.said)
+        say_all(page.notes)
         say(f"{page.address}  (Ctrl-C ends it)")
         if not arguments.no_browser:
             import webbrowser
@@ -83,15 +95,15 @@ def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
         raise DataError(f"{out}: the page is a .html file")
     if arguments.parameter:
         raise DataError("--parameter: sliders are of the page that is served, not of that of -o")
-    rows, motion, said = Frames(scene).rows, arguments.motion, list[str]()
+    rows, motion, notes = Frames(scene).rows, arguments.motion, list[str]()
     if motion is None:
         rerun = Rerun(scene)
         rerun.duration = arguments.time
-        _, motion, said = rerun.run({})
+        _, motion, notes = rerun.run({})
     viewed = viewed_motion(scene, motion, rows, topic)
     ghost = arguments.ghost and viewed_motion(scene, arguments.ghost, rows, topic)
     page = animated_page(scene, viewed, Path(scene.name).name, ghost)
     with replacing(out) as file:
         file.write(page.text.encode())
-    say_all([*page.remarks, *viewed.remarks, *said, f"{out}: {len(page.text) / 1e6:.1f} MB"])
+    say_all([*page.remarks, *viewed.remarks, *notes, f"{out}: {len(page.text) / 1e6:.1f} MB"])
     return OK

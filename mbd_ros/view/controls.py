@@ -65,7 +65,7 @@ class Controls:
         self._play = gui.add_checkbox("play", False)
         self._speed = gui.add_slider("speed", 0.05, 4.0, 0.05, 1.0)
         self._loop = gui.add_checkbox("loop", True)
-        self._said = gui.add_text("remarks", "", multiline=True, disabled=True)
+        self._remarks = gui.add_text("remarks", "", multiline=True, disabled=True)
 
     def _view_of(self) -> None:
         gui = self._gui
@@ -109,7 +109,7 @@ class Controls:
         self._asks = True
 
     def chooser(self, joint: int) -> Callable[[Any], None]:
-        """What a click on a solid does: choose its joint or free body."""
+        """Return the reaction to a click on a solid: it chooses the joint or free body."""
 
         def choose(_: Any) -> None:
             if joint in self._names:
@@ -119,12 +119,12 @@ class Controls:
 
     def wishes(self) -> dict[str, float]:
         """Values of sliders that were moved."""
-        given = {**self.rerun.starts, **self.rerun.numbers}
+        ranges = {**self.rerun.starts, **self.rerun.numbers}
         values = {name: float(slider.value) for name, slider in self._wishes.items()}
         return {
             name: value
             for name, value in values.items()
-            if abs(value - given[name][0]) > 0.6 * (given[name][2] - given[name][1]) / _STEPS
+            if abs(value - ranges[name][0]) > 0.6 * (ranges[name][2] - ranges[name][1]) / _STEPS
         }
 
     def take_run(self) -> bool:
@@ -194,8 +194,8 @@ class Controls:
 
     def say(self, lines: Sequence[str]) -> None:
         """Show lines for people."""
-        self._said.value = printable("\n".join(lines))
-        self._said.visible = bool(lines)
+        self._remarks.value = printable("\n".join(lines))
+        self._remarks.visible = bool(lines)
 
     def show_motion(self, motion: ViewedMotion, curves: MotionCurves) -> None:
         """Begin with a motion."""
@@ -241,7 +241,7 @@ def _image(client: Any, transport: str) -> Any:
 
 
 class Rerun:
-    """What may be changed of a scene, and the run with it.
+    """Numbers of a scene that a page may change, and the run with them.
 
     Args:
         scene: The scene as it is.
@@ -267,7 +267,7 @@ class Rerun:
 
     @property
     def duration(self) -> float:
-        """Of a run [s]."""
+        """Duration of a run [s]."""
         return self._duration
 
     @duration.setter
@@ -310,13 +310,13 @@ class Rerun:
             initial = dict(scene.entries.get("initial") or {})
             initial["position"] = {**(initial.get("position") or {}), **starts}
             scene = with_sections(scene, initial=initial)
-        said = list[str]()
+        remarks = list[str]()
         try:
-            return scene, simulate(scene, self._duration, say=said.append), said
+            return scene, simulate(scene, self._duration, say=remarks.append), remarks
         except Interrupted as error:
             if error.result is None:
                 raise
-            return scene, error.result, [*said, str(error)]
+            return scene, error.result, [*remarks, str(error)]
 
 
 def _ranged(value: float, lower: float, upper: float) -> tuple[float, float, float]:

@@ -80,13 +80,13 @@ class MotionCurves:
 
     def values(self, joint: str, row: int) -> list[str]:
         """Lines on a joint or free body at a sample: each quantity with its unit."""
-        found = [i for i, (owner, _) in enumerate(self._names) if owner == joint]
+        rows_of_joint = [i for i, (owner, _) in enumerate(self._names) if owner == joint]
         one = next((j for j in self._joints if j.name == joint), None)
         unit = "m" if one is None else one.position_unit
         units = (unit, f"{unit}/s", f"{unit}/s²", "N" if one is None else one.effort_unit, "W")
         lines = list[str]()
         for (name, values), its in zip(self._values.items(), units, strict=True):
-            numbers = values[row, found]
+            numbers = values[row, rows_of_joint]
             if len(numbers) and np.isfinite(numbers).all():
                 lines.append(f"{name} {' '.join(f'{n:.6g}' for n in numbers)} {its}")
         return lines
@@ -215,11 +215,11 @@ class LiveCurves:
 
     def clear(self) -> None:
         """Forget everything."""
-        self._next = self._kept = 0
+        self._next = self._length = 0
 
     def add(self, sample: LiveSample) -> None:
         """Keep a sample of a later time; one of an earlier time begins anew."""
-        if self._kept:
+        if self._length:
             last = self._times[self._next - 1]
             if sample.time == last:
                 return
@@ -233,7 +233,7 @@ class LiveCurves:
         values["torque"][at] = np.concatenate((sample.torques, self._none))
         values["multipliers"][at] = sample.multipliers
         values["loads"][at] = np.linalg.norm(sample.loads[:, 1], axis=1)
-        self._next, self._kept = (at + 1) % self._count, min(self._kept + 1, self._count)
+        self._next, self._length = (at + 1) % self._count, min(self._length + 1, self._count)
 
     def of(self, joint: str, quantity: str) -> Curves:
         """Curves of one quantity, those that are unknown left out.
@@ -245,29 +245,29 @@ class LiveCurves:
         names, chosen = self._names[quantity], list(range(len(self._names[quantity])))
         if quantity in _BY_JOINT:
             chosen = [i for i, (owner, _) in enumerate(self._owners) if joint in (ALL, owner)]
-        at = (self._next - self._kept + np.arange(self._kept)) % self._count
+        at = (self._next - self._length + np.arange(self._length)) % self._count
         values = self._values[quantity][at][:, chosen]
-        known = np.flatnonzero(np.isfinite(values).any(axis=0)) if self._kept else []
+        known = np.flatnonzero(np.isfinite(values).any(axis=0)) if self._length else []
         named = tuple(names[chosen[i]] for i in known)
         return Curves(self._times[at], named, np.nan_to_num(values[:, known]))
 
     def values(self, joint: str) -> list[str]:
         """Lines on a joint or free body at the newest sample: each quantity with its unit."""
-        found = [i for i, (owner, _) in enumerate(self._owners) if owner == joint]
-        if not self._kept or not found:
+        rows_of_joint = [i for i, (owner, _) in enumerate(self._owners) if owner == joint]
+        if not self._length or not rows_of_joint:
             return []
         one = next((j for j in self._joints if j.name == joint), None)
         unit, effort = ("m", "N") if one is None else (one.position_unit, one.effort_unit)
         lines = []
         for name, its in zip(_BY_JOINT, (unit, f"{unit}/s", effort, effort), strict=True):
-            numbers = self._values[name][self._next - 1, found]
+            numbers = self._values[name][self._next - 1, rows_of_joint]
             if np.isfinite(numbers).all():
                 lines.append(f"{name} {' '.join(f'{n:.6g}' for n in numbers)} {its}")
         return lines
 
 
 class LiveSample(NamedTuple):
-    """What is known of a robot at a time.
+    """State and loads of a robot at one time.
 
     Attributes:
         time: From the first sample on [s].

@@ -1,4 +1,4 @@
-"""What is drawn of a scene at a state, as arrays: poses, lines, arrows, cones and colours.
+"""The drawing of a scene at a state, as arrays: poses, lines, arrows, cones and colours.
 
 Lengths are in metres, in the world less `Robot.origin`: a robot far away stands at the origin.
 """
@@ -43,13 +43,13 @@ class Frames:
         self.rows = tuple(row.name for row in system.layout.rows)
         self.arrow_names = tuple(arrow.name for arrow in self.showing.arrows)
         every = (*scene.constraints, *scene.muscles, *loads.forces)
-        unique = {id(part): part for part in every if hasattr(part, "path")}
+        unique = {id(part): part for part in every if part.path is not None}
         self._paths = list(unique.values())
         named = {number.name: i for i, number in enumerate(self.showing.numbers)}
         self._tensions = [_tension(part, named) for part in self._paths]
-        self._closures = [p for p in scene.constraints if not hasattr(p, "path")]
+        self._closures = [p for p in scene.constraints if p.path is None]
         self._sizes = [_row_count(p, system.layout) for p in self._closures]
-        self._points = [s.point for s in scene.sensors if hasattr(s, "point")]
+        self._points = [s.point for s in scene.sensors if s.point is not None]
         self._coupled = _coupled(scene)
         self._rows = ConstraintRows(system.layout.blocks, robot.model.nv)
         forces = (*loads.actuators, *loads.forces)
@@ -61,7 +61,7 @@ class Frames:
     def at(
         self, x: State, a: Array | None = None, multipliers: Array | None = None, most: float = 0.0
     ) -> Drawn:
-        """What is drawn at a state.
+        """Return the drawing at a state.
 
         Args:
             a: Accelerations [rad/s^2 or m/s^2], shape (nv,); 0 without it.
@@ -95,7 +95,7 @@ class Frames:
         )
 
     def reactions(self, x: State, a: Array, multipliers: Array) -> tuple[Array, Array]:
-        """What joints pass from parents to children, as arrows of forces and of moments.
+        """Return joint reactions on the children, as arrows of forces and of moments.
 
         Args:
             a: Accelerations [rad/s^2 or m/s^2], shape (nv,).
@@ -141,11 +141,11 @@ class Frames:
     def _exerted(self, x: State, lam: Array) -> list[Any]:
         """Wrenches of constraints that show no arrows themselves."""
         self._k.refresh(x.q, x.v, Reads.POSITION)
-        found = list[Any]()
+        pushes = list[Any]()
         for block in self._system.layout.blocks:
             if not any(output.is_drawn for output in block.part.outputs):
-                found += block.part.wrenches(self._k, x, lam[block.slots])
-        return found
+                pushes += block.part.wrenches(self._k, x, lam[block.slots])
+        return pushes
 
     def _path_lines(self, x: State, values: Array) -> tuple[Array, Array]:
         """Pieces of all paths, and the tension of each, NaN where it is unknown."""
@@ -209,7 +209,7 @@ def tension_colours(tensions: Array, most: float = 0.0) -> Array:
 
 
 class Drawn(NamedTuple):
-    """What is drawn at one state.
+    """The drawing at one state.
 
     Attributes:
         poses: Of every joint of the model: place [m], then quaternion (w, x, y, z), shape
@@ -280,7 +280,7 @@ def length_per(largest: float, size: float) -> float:
 
 
 def largest(arrows: Array) -> float:
-    """Of forces or moments with where they act, shape (n, 2, 3); 0 without any."""
+    """Return the largest force or moment of arrows, shape (n, 2, 3); 0 without any."""
     return float(np.linalg.norm(arrows[:, 1], axis=1).max(initial=0.0))
 
 

@@ -237,7 +237,7 @@ class LivePanel:
         self._joint.options = [ALL, *known]
 
     def chooser(self, number: int, joint: int) -> Callable[[Any], None] | None:
-        """What a click on a solid does: choose its robot, and its joint or free body.
+        """Return the reaction to a click on a solid: it chooses a robot and a joint or free body.
 
         None for a solid that nothing moves.
         """
@@ -323,7 +323,7 @@ class LivePanel:
 
 
 class Wish(NamedTuple):
-    """What somebody asked a page for.
+    """A request that a visitor made on a page.
 
     Attributes:
         robot: Which of the robots.

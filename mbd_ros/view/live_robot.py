@@ -55,11 +55,11 @@ class LiveRobot:
     stage: Stage
     curves: LiveCurves
 
-    def __init__(self, title: str, scene: Scene, kept: int) -> None:
+    def __init__(self, title: str, scene: Scene, length: int) -> None:
         self.title, self.scene, self.frames = title, scene, Frames(scene)
         self.solids, lacking = solids_of_scene(scene)
         self.remarks = list(lacking)
-        self._kept = kept
+        self._curve_length = length
         self.measure(())
         begin = scene.initial._replace(t=0.0)
         self.begin: State = begin._replace(z=np.nan_to_num(begin.z))
@@ -78,7 +78,7 @@ class LiveRobot:
 
     def measure(self, loads: tuple[str, ...]) -> None:
         """Have curves for the loads of samples, by their names."""
-        self.curves = LiveCurves(self.scene, self.frames.rows, loads, self._kept)
+        self.curves = LiveCurves(self.scene, self.frames.rows, loads, self._curve_length)
 
     def show(self, server: Any, root: str) -> None:
         """Put it on a page, where it begins.
@@ -195,7 +195,7 @@ class Pull:
             return None
         robot = self._robots[grip.robot]
         at = _pose(robot, grip.joint)
-        place = at.act(grip.held)
+        place = at.act(grip.point)
         away = grip.pointer - robot.offset - place
         length = float(np.linalg.norm(away))
         away *= min(1.0, _LONGEST * robot.size / max(length, 1.0e-12))
@@ -219,7 +219,7 @@ class Pull:
             start = np.array(event.start_position, dtype=np.float64) - robot.offset
             held = _pose(robot, solid.joint).actInv(start)
             grip = _Grip(number, solid.joint, solid.link, held, pointer)
-        if np.isfinite(grip.held).all() and np.isfinite(pointer).all():
+        if np.isfinite(grip.point).all() and np.isfinite(pointer).all():
             self._grip = grip._replace(pointer=pointer)
 
     def _show(self, line: Array | None) -> None:
@@ -234,12 +234,12 @@ class Pull:
 
 
 class _Grip(NamedTuple):
-    """What the mouse holds: a place in the axes of a joint [m], and the pointer on the page."""
+    """The grip of the mouse: a point in the axes of a joint [m], and the pointer on the page."""
 
     robot: int
     joint: int
     link: str
-    held: Array
+    point: Array
     pointer: Array
 
 
@@ -292,9 +292,9 @@ class Reach:
         if not solids:
             raise ModelError("nothing of this joint is drawn")
         vertices = np.concatenate([solid.surface.vertices for solid in solids])
-        held = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+        centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
         origin = scene.robot.carrier(solids[0].link)
-        mark = Mark("handle", scene.robot.shifted(origin, held.astype(np.float64)), 1.0)
+        mark = Mark("handle", scene.robot.shifted(origin, centre.astype(np.float64)), 1.0)
         weight = _POSTURE * robot.size**2
         self._solver = MarkerKinematics(
             scene.robot,
@@ -304,7 +304,7 @@ class Reach:
             tasks=dict.fromkeys(scene.couplings.independent, weight),
         )
         self._q = start.copy()
-        self._place = self._held_at(held)
+        self._place = self._position_of(centre)
         self._wanted: Array | None = None
         self._goal: Array | None = None
         self._miss = np.inf
@@ -346,11 +346,11 @@ class Reach:
             raise SolveError("no posture for this target")
         return fit
 
-    def _held_at(self, held: Array) -> Array:
+    def _position_of(self, point: Array) -> Array:
         pose = self.robot.drawn.poses[self.joint]
         w, xyz = pose[3], pose[4:]
-        turned = np.cross(xyz, held)
-        place: Array = held + 2.0 * (w * turned + np.cross(xyz, turned)) + pose[:3]
+        turned = np.cross(xyz, point)
+        place: Array = point + 2.0 * (w * turned + np.cross(xyz, turned)) + pose[:3]
         return place + self.robot.offset
 
     def _show(self, server: Any) -> None:

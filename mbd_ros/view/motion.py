@@ -57,20 +57,20 @@ def viewed_motion(
         required=scene.couplings.independent,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
     ).motion
     count = len(motion.stamps)
     if not 0 < count <= _MOST:
         raise DataError(f"{name_of(source)}: {count} samples, accepted are 1 .. {_MOST}")
     q, v, a = (np.zeros((n, count)) for n in (robot.model.nq, robot.model.nv, robot.model.nv))
     q[:] = robot.neutral()[:, None]
-    for of, given, at in (
+    for target, values, entries in (
         (q, motion.position, [joint.q for joint in robot.joints]),
         (v, motion.velocity, [joint.v for joint in robot.joints]),
         (a, motion.acceleration, [joint.v for joint in robot.joints]),
     ):
-        if given is not None:
-            of[at] = np.nan_to_num(given.T)
+        if values is not None:
+            target[entries] = np.nan_to_num(values.T)
     scene.couplings.expand(q, v, a)
     for base, body in zip(robot.bases, motion.bodies, strict=True):
         q[base.q] = configuration_of(robot, body.pose).T

@@ -35,7 +35,7 @@ class Page:
     Attributes:
         address: Of the page, with the token that it asks for on another host.
         remarks: What cannot be drawn, a line each.
-        said: These, and what is to be said of the motion.
+        notes: These, and what is to be notes of the motion.
 
     Raises:
         MbdError: The scene has no consistent start, or no such number.
@@ -111,26 +111,26 @@ class Page:
     def _run_again(self) -> None:
         controls = self._controls
         try:
-            scene, result, said = controls.rerun.run(controls.wishes())
+            scene, result, notes = controls.rerun.run(controls.wishes())
             frames = Frames(scene)
             motion = viewed_motion(scene, result, frames.rows)
         except MbdError as error:
-            self.said = (*self.remarks, f"not run: {error}")
-            controls.say(self.said)
+            self.notes = (*self.remarks, f"not run: {error}")
+            controls.say(self.notes)
             return
         self._scene = scene
-        self._show(motion, said, frames)
+        self._show(motion, notes, frames)
 
     def _show(
-        self, motion: ViewedMotion, said: Sequence[str] = (), frames: Frames | None = None
+        self, motion: ViewedMotion, notes: Sequence[str] = (), frames: Frames | None = None
     ) -> None:
         """Show a motion from its begin."""
         self._row = -1
         self._drawing.show(motion, frames)
         curves = MotionCurves(self._scene, motion, self._drawing.frames.rows)
         self._controls.show_motion(motion, curves)
-        self.said = (*self.remarks, *motion.remarks, *said)
-        self._controls.say(self.said)
+        self.notes = (*self.remarks, *motion.remarks, *notes)
+        self._controls.say(self.notes)
         self._draw(0)
 
     def _draw(self, row: int) -> None:

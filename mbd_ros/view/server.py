@@ -78,15 +78,15 @@ class PageServer:
         self.viser.on_client_disconnect(self._note_departure)
         self._guard = Guard(self.viser.get_host(), self.viser.get_port(), self.token, origins)
         try:
-            found = self._listen(host, port)
+            bound_port = self._listen(host, port)
         except OSError as error:
             self.close()
             raise MbdError(f"host '{host}', port {port}: {error.strerror or error}") from error
-        self.address = f"http://{f'[{host}]' if ':' in host else host}:{found}"
+        self.address = f"http://{f'[{host}]' if ':' in host else host}:{bound_port}"
 
     @property
     def address_with_token(self) -> str:
-        """Of the page, for whoever may see it."""
+        """Address of the page, with the token that opens it."""
         return f"{self.address}/?token={quote(self.token)}" if self.token else self.address
 
     @property
@@ -210,7 +210,7 @@ class Guard:
             await _ended(writer)
 
     async def _answer(self, head: _Head) -> bytes | None:
-        """What refuses a request, or takes its token; None to pass it on."""
+        """Return the answer that refuses a request or takes its token; None to pass it on."""
         if self._open > _MOST:
             return _response(503, f"{_MOST} browsers are connected already")
         if refused := self._foreign(head):

@@ -19,7 +19,7 @@ from mbd_ros.core.geometry import shapes
 from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.geometry.shapes import Side
 from mbd_ros.core.model.points import rotation_matrix
-from mbd_ros.core.model.robot import Recipe, Robot
+from mbd_ros.core.model.robot import ModelSource, Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
@@ -37,7 +37,7 @@ _PLATE = 20.0  # side of the piece of a half space that is shown, over the reach
 
 
 def solids_of_scene(scene: Scene) -> tuple[list[Solid], list[str]]:
-    """What links look like, and what contacts see of links that show bones alone.
+    """Return the visible solids of links, and contact shapes of links that show only bones.
 
     Returns:
         Solids, and lines on what cannot be drawn.
@@ -71,7 +71,7 @@ def _contact_solids(robot: Robot, side: Side) -> Iterator[Solid]:
 
 
 def _contact_surfaces(shape: Any) -> Iterator[Surface]:
-    """Of shapes that have some."""
+    """Yield the surfaces of a contact shape, if it has any."""
     if isinstance(shape, shapes.Sphere) and shape.radius > 0.0:
         yield surfaces.sphere(shape.radius)
     elif isinstance(shape, shapes.Box):
@@ -98,15 +98,15 @@ def _centres(shape: Any, at: Any) -> Sequence[Any]:
 def _planes(robot: Robot, sides: Iterable[Side]) -> Iterator[Any]:
     """Half spaces at rest that are not the floor, which the grid shows, each once."""
     floor = upright(robot)[:, 2]
-    found = dict[bytes, Any]()
+    planes = dict[bytes, Any]()
     for side in sides:
         for shape in side.shapes:
             place = robot.places.points[shape.at.number]
             if isinstance(shape, shapes.HalfSpace) and place.joint == 0:
                 normal = place.at.rotation[:, 2]
                 if not np.allclose(normal, floor, atol=1e-6):
-                    found[np.round(place.at.homogeneous, 9).tobytes()] = place.at
-    yield from found.values()
+                    planes[np.round(place.at.homogeneous, 9).tobytes()] = place.at
+    yield from planes.values()
 
 
 class Solid(NamedTuple):
@@ -137,10 +137,10 @@ def solids_of(robot: Robot) -> tuple[list[Solid], list[str]]:
     """
     solids, lacking = list[Solid](), dict[str, None]()
     inertias = robot.inertias()
-    for recipe in robot.recipes:
-        tree = parse_urdf(recipe.text, recipe.source)
+    for model_source in robot.model_sources:
+        tree = parse_urdf(model_source.text, model_source.source)
         colours = _colours(tree)
-        for link in _links(robot, recipe, tree):
+        for link in _links(robot, model_source, tree):
             drawn, faults = _visuals(link, colours)
             lacking.update(dict.fromkeys(faults))
             solids += drawn or _bones(tree, link, inertias.get(link.name))
@@ -166,25 +166,25 @@ def _rgb(material: ElementTree.Element) -> tuple[int, int, int] | None:
     return r, g, b
 
 
-def _links(robot: Robot, recipe: Recipe, tree: ElementTree.Element) -> Iterator[_Link]:
+def _links(robot: Robot, model_source: ModelSource, tree: ElementTree.Element) -> Iterator[_Link]:
     for element in tree.findall("link"):
-        name = names_of_link(recipe, tree, element.get("name", ""))[0]
+        name = names_of_link(model_source, tree, element.get("name", ""))[0]
         frame = robot.model.frames[robot.frame(name)]
-        yield _Link(recipe, element, name, int(frame.parentJoint), frame.placement)
+        yield _Link(model_source, element, name, int(frame.parentJoint), frame.placement)
 
 
 class _Link(NamedTuple):
     """A link of a description.
 
     Attributes:
-        recipe: What it is from.
+        model_source: What it is from.
         element: The `<link>`.
         name: In the scene.
         joint: Index in the model of the joint that carries it.
         at: `pinocchio.SE3` of the link in the frame of that joint.
     """
 
-    recipe: Recipe
+    model_source: ModelSource
     element: ElementTree.Element
     name: str
     joint: int
@@ -193,13 +193,15 @@ class _Link(NamedTuple):
 
 def _visuals(link: _Link, colours: dict[str, Any]) -> tuple[list[Solid], list[str]]:
     solids, faults = list[Solid](), list[str]()
-    if link.recipe.shape is not None:
-        shape = Collision(*link.recipe.shape, [0.0] * 3, [0.0] * 3)
+    if link.model_source.shape is not None:
+        shape = Collision(*link.model_source.shape, [0.0] * 3, [0.0] * 3)
         return [_placed(link, shape, _visual_surface(shape, link.name), GREY)], faults
     for i, element in enumerate(link.element.findall("visual")):
-        where = f"{link.recipe.source}: {link.name}: <visual> {i}"
+        where = f"{link.model_source.source}: {link.name}: <visual> {i}"
         try:
-            shape = geometry_of(link.recipe, _beside_its_package(link.recipe, element), where)
+            shape = geometry_of(
+                link.model_source, _beside_its_package(link.model_source, element), where
+            )
             surface = _visual_surface(shape, where)
         except SceneError as error:
             faults.append(_once(element, str(error)))
@@ -227,14 +229,16 @@ def _visual_surface(shape: Collision, where: str) -> Surface:
     return mesh_surface(Path(size["file"]), size.get("scale", (1.0, 1.0, 1.0)), where)
 
 
-def _beside_its_package(recipe: Recipe, element: ElementTree.Element) -> ElementTree.Element:
+def _beside_its_package(
+    model_source: ModelSource, element: ElementTree.Element
+) -> ElementTree.Element:
     """The element with the path of its mesh, where that is in the package of the description."""
     mesh = element.find("geometry/mesh")
     name = "" if mesh is None else mesh.get("filename", "")
     package, _, rest = name.removeprefix("package://").partition("/")
     if mesh is None or not name.startswith("package://") or ".." in Path(rest).parts:
         return element
-    for folder in Path(recipe.source).absolute().parents:
+    for folder in Path(model_source.source).absolute().parents:
         if folder.name == package and (folder / rest).is_file():
             mesh.set("filename", str(folder / rest))
     return element

@@ -116,7 +116,7 @@ def test_two_processes_that_want_the_same_scene_compile_it_once(cache, slow):
     first = start()
     until(lambda: (slow / "calls").exists())
     second = start()
-    assert second.stdout.readline() == "another process compiles the same: waiting for it\n"
+    assert second.stdout.readline() == "another process compiles the same code: waiting for it\n"
     (slow / "hold").unlink()
     assert first.communicate()[0].endswith("18.0\n")
     assert second.communicate()[0] == "18.0\n"
@@ -148,7 +148,7 @@ def test_without_room_for_any_file_the_error_says_so(cache, room):
     [
         ("echo 'no licence' >&2; exit 3", r"(?s)ended with exit code 3.*no licence"),
         ("kill -9 $$", "was ended by signal 9"),
-        ("exit 0", "ended without an error and wrote nothing"),
+        ("exit 0", "ended without an error but wrote no library"),
         (
             'while test "$1" != -o; do shift; done; echo no > $2',
             "the compiled library cannot be loaded",
@@ -167,7 +167,7 @@ def test_a_compiler_that_fails_is_named(cache, tmp_path, monkeypatch, script, ma
 
 def test_a_compiler_that_is_missing_is_named(cache, monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "no_such_cc -O1")
-    with pytest.raises(BuildError, match=r"the variable CC names 'no_such_cc', which is no prog"):
+    with pytest.raises(BuildError, match=r"the variable CC names 'no_such_cc', which is not a"):
         squared()
     monkeypatch.delenv("CC")
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -293,7 +293,7 @@ def test_a_cache_folder_that_is_a_link_is_passed_by(cache, tmp_path, above):
     folder.symlink_to(tmp_path / "elsewhere")
     said = []
     assert squared(said) == 18.0
-    assert said[-1] == f"not kept: {folder} is a symbolic link, which is not followed"
+    assert said[-1] == f"not kept: {folder} is a symbolic link; replace it by a folder"
 
 
 def test_a_link_in_the_place_of_a_part_is_not_followed(cache, tmp_path):
@@ -341,7 +341,8 @@ def test_a_user_without_a_home_compiles_each_time(cache, monkeypatch):
     monkeypatch.setenv("HOME", "relative")
     said = []
     assert squared(said) == 18.0
-    assert said[-1] == "not kept: no home folder of the user, and no XDG_CACHE_HOME"
+    reason = "the user has no home folder; set XDG_CACHE_HOME to an absolute path"
+    assert said[-1] == f"not kept: {reason}"
 
 
 def test_what_was_not_used_for_long_is_removed(cache, monkeypatch):

@@ -9,7 +9,7 @@ from wrapping import POINTS, WRAPS, swing
 
 import mbd_ros as mbd
 from mbd_ros.compiled.build.library import load
-from mbd_ros.compiled.build.verify import plain_rates, some_inputs, some_state
+from mbd_ros.compiled.build.verify import plain_rates, random_inputs, random_state
 from mbd_ros.compiled.code.emit import SEARCH, emitted
 from mbd_ros.compiled.runs.implicit_method import compiled_system
 from mbd_ros.compiled.symbols.trace import trace
@@ -34,7 +34,7 @@ def differences(system, states):
     accelerate, search = library.function("accelerate"), library.function(SEARCH)
     k, rng, found = Kinematics(system.robot), np.random.default_rng(3), []
     for y in states:
-        held, u = some_inputs(system, 0.0, rng)
+        held, u = random_inputs(system, 0.0, rng)
         for argument, value in zip(accelerate.arguments, (0.0, *y[1:4], u, ()), strict=True):
             argument[...] = value
         for argument, value in zip(search.arguments, (0.0, y.q, ()), strict=True):
@@ -58,7 +58,7 @@ def test_accelerations_are_those_of_the_plain_tier(wraps):
     spring["resting_length"] = 0.4
     system = mbd.scene_from({"paths": paths, "forces": [spring]}, urdf="arm7").system()
     rng = np.random.default_rng(2)
-    states = [some_state(system, rng) for _ in range(15)]
+    states = [random_state(system, rng) for _ in range(15)]
     states = [y._replace(q=rng.uniform(-0.8, 0.8, len(y.q))) for y in states]
     assert differences(system, states).max() < 1e-10
 
@@ -92,7 +92,7 @@ def test_arm26_is_that_of_the_plain_tier(tmp_path):
     model.write_bytes(gzip.decompress(packed.read_bytes()))
     system = mbd.load_scene(model).system()
     rng = np.random.default_rng(6)
-    states = [some_state(system, rng) for _ in range(12)]
+    states = [random_state(system, rng) for _ in range(12)]
     states = [y._replace(q=rng.uniform((-1.5, 0.0), (3.0, 2.2))) for y in states]
     assert differences(system, states).max() < 1e-10
 

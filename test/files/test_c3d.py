@@ -8,7 +8,7 @@ import pytest
 from c3d_recordings import CORNERS, TURN, recording
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.markers.job import turned
+from mbd_ros.features.markers.job import with_axes
 from mbd_ros.files.laboratory.markers import read_markers
 from mbd_ros.files.table import Column, Result, Table, read_result
 from mbd_ros.motion.recordings import read_capture, read_wrenches
@@ -48,7 +48,7 @@ def test_axes_of_the_screen_turn_markers(ezc3d, tmp_path):
     whole.write(str(path))
     capture = read_capture(path)
     assert capture.screen == ("-Y", "+Z")
-    found = turned(capture, "screen").places
+    found = with_axes(capture, "screen").places
     x, y, z = positions
     expected = np.stack([-y, z, -x]).transpose(2, 1, 0)
     assert np.allclose(found, expected, rtol=2e-7, atol=1e-7, equal_nan=True)

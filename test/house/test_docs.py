@@ -142,7 +142,7 @@ def test_every_command_and_option_exists(page, words):
     known = {name for w in words.values() for option in w.options for name in option.names}
     known |= OTHERS | FUZZ | {name for names in EXAMPLES.values() for name in names}
     options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
-    commands = set(re.findall(r"(?:`|^|\. )mbd-ros ([a-z_-]+)", text, re.MULTILINE))
+    commands = set(re.findall(r"(?:`|^|\. )mbd-ros ([a-z][a-z_-]*)", text, re.MULTILINE))
     assert options <= known
     assert commands <= {*words, *EXAMPLES}
 
@@ -150,6 +150,14 @@ def test_every_command_and_option_exists(page, words):
 def test_the_index_lists_every_page():
     listed = set(LINK.findall((ROOT / "docs/index.md").read_text(encoding="utf-8")))
     assert [page.name for page in PAGES[2:] if page.name not in {"index.md", *listed}] == []
+
+
+@pytest.mark.parametrize("page", PAGES[2:], ids=IDS[2:])
+def test_a_page_says_first_what_you_can_do_after_it(page):
+    if page.name == "index.md":
+        return
+    _, first, *_ = page.read_text(encoding="utf-8").split("\n\n")
+    assert re.search(r"\byou\b", first, re.IGNORECASE), first
 
 
 def test_the_first_screen_of_the_readme_runs(tmp_path, monkeypatch, capsys):

@@ -12,7 +12,9 @@ from places import ROOT
 from mbd_ros.features.tools.completion import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.schema.registry import PARTS
+from mbd_ros.scene.schema.sections import TASKS
 
+SOURCES = ROOT / "build/docs_source"
 LOADING = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
 
 
@@ -48,8 +50,21 @@ def site(tmp_path_factory):
 
 def test_every_page_and_every_reference_is_there(site):
     pages = {page.stem for page in ROOT.glob("docs/*.md")} | {"CHANGELOG", "CONTRIBUTING"}
-    made = {f"{what}_reference" for what in ("command", "node", "python", "scene")}
+    made = {f"{what}_reference" for what in ("command", "node", "python", "robot", "scene")}
     assert {f"{name}.html" for name in pages | made} <= site.keys()
+
+
+def test_the_site_opens_with_the_four_kinds(site):
+    """They are the captions of its navigation, in this order."""
+    text = (SOURCES / "index.md").read_text(encoding="utf-8")
+    captions = re.findall(r"^:caption: (.+)$", text, re.MULTILINE)
+    assert captions == ["Tutorials", "How-to guides", "Reference", "Explanation"]
+
+
+@pytest.mark.parametrize("words", ["backlash", "four bar", "GRF", "sliding mode", "Baumgarte"])
+def test_the_search_finds_terms_of_the_field(site, words):
+    texts = {page: page.read_text(encoding="utf-8").lower() for page in SOURCES.glob("*.md")}
+    assert any(words.lower().replace(" ", joint) in t for t in texts.values() for joint in " -")
 
 
 def test_no_link_is_dead(site):
@@ -73,6 +88,8 @@ def test_references_are_complete(site):
     """Every part, command and node has a heading; equations came through as MathML."""
     parts = {name for kind, names in PARTS.items() if kind != "controllers" for name in names}
     assert {name.replace("_", "-") for name in parts} <= site["scene_reference.html"].ids
+    tasks = {f"task-{section.key}" for section in TASKS}
+    assert tasks <= site["scene_reference.html"].ids
     assert {name.replace("_", "-") for name in NODES} <= site["node_reference.html"].ids
     assert "math" in site["theory.html"].tags
     assert set(all_words()) <= site["command_reference.html"].ids

@@ -11,7 +11,7 @@ import mbd_ros as mbd
 from mbd_ros import read_result
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.motion.stance import kept_force
+from mbd_ros.motion.stance import trailing_force
 
 G = 9.81
 SIDES = {"left": 0.15, "right": -0.15}
@@ -281,16 +281,16 @@ def test_a_leg_with_a_loop_in_its_knee_gives_its_drive_torques_back(bounds):
     ("options", "message"),
     [
         ({"stance": "best"}, "--stance best: accepted: minimum-norm, smooth"),
-        ({"stance_gap": 0.1}, "--stance-gap goes with --stance"),
+        ({"stance_gap": 0.1}, "--stance-gap is accepted together with --stance"),
         ({"stance": "smooth", "stance_speed": -1.0}, "--stance-speed -1 must be >= 0 and finite"),
         ({"stance": "smooth", "stance_gap": math.nan}, "--stance-gap nan must be >= 0 and finite"),
-        ({"stance": "smooth", "parts": True}, "--parts goes with scenes without loops"),
+        ({"stance": "smooth", "parts": True}, "--parts is accepted only for scenes without loops"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options, message):
     with pytest.raises(DataError, match=message):
         biped().inverse(sway(), **options)
-    with pytest.raises(DataError, match="--stance goes with scenes with rigid contacts"):
+    with pytest.raises(DataError, match="--stance needs a scene with rigid contacts"):
         biped(contacts=None).inverse(sway(), stance="smooth")
 
 
@@ -354,10 +354,10 @@ def test_the_smooth_transition_is_nearer_to_plates_than_the_least_efforts(person
 
 def test_the_force_of_the_trailing_foot_ends_with_the_double_support():
     way, force_then = np.array([1.0, 0.0, 0.0]), np.array([50.0, 20.0, 600.0])
-    assert kept_force(force_then, way, 0.0) == pytest.approx(force_then, abs=1e-12)
-    end = kept_force(force_then, way, 1.0)
+    assert trailing_force(force_then, way, 0.0) == pytest.approx(force_then, abs=1e-12)
+    end = trailing_force(force_then, way, 1.0)
     assert end == pytest.approx([0.0, 20.0 * np.exp(-8), 600.0 * np.exp(-8)], abs=1e-12)
-    half = kept_force(force_then, way, 0.5)
+    half = trailing_force(force_then, way, 0.5)
     shares = np.exp(4 / 9 - 1 / 9) - np.exp(-4 / 3) / 2, np.exp(-1)
     assert half / force_then == pytest.approx([shares[0], shares[1], shares[1]], abs=1e-12)
 
@@ -387,7 +387,5 @@ def test_a_passive_walker_needs_no_drive_on_the_foot_of_its_phase(decides):
     assert np.abs(alone["power.residual"]).max() <= 1e-12
     if decides == "phases":
         given = [(n, 7.0 + 0.0 * v if n == "phase" else v) for n, v in kept]
-        with pytest.raises(
-            DataError, match="phase 7 is none of the scene; accepted: 0 to 1: left_"
-        ):
+        with pytest.raises(DataError, match="the scene has no phase 7; accepted: 0 to 1: left_"):
             walker.inverse(table(given), stance="smooth")

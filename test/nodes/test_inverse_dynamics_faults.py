@@ -483,7 +483,7 @@ def test_11_21_22_robot_description_on_a_topic(start_node, probe, tmp_path):
         (GOOD[:-9], "not well-formed XML"),
         ('<!DOCTYPE robot [<!ENTITY a "b">]>' + GOOD, "DOCTYPE and ENTITY declarations"),
         (GOOD + " " * (16 * 1024 * 1024), "characters, accepted are 16777216"),
-        (URDF.format(com=0.2, mass=-1.5), "mass is -1.5 kg, expected > 0"),
+        (URDF.format(com=0.2, mass=-1.5), "mass is -1.5 kg, but must not be negative"),
     ):
         publisher.publish(String(data=text))
         node.wait_for(reason)

@@ -30,11 +30,11 @@ def swing(leg, count):
     known = [robot.joint(name).v for name in ("hip_flexion", "knee_posterior", "ankle")]
     measured, random = np.zeros(5, dtype=bool), np.random.default_rng(3)
     measured[known] = True
-    before, rows = loops.start(leg.scene.initial), []
+    before, rows = loops.assemble(leg.scene.initial), []
     for angles, rates in zip(q - 0.3, v, strict=True):
         x = leg.scene.initial._replace(q=before.copy(), v=np.zeros(5))
         x.q[known], x.v[known] = leg.scene.initial.q[known] + angles, rates
-        x, _, _ = loops.complete(before, x, np.zeros(5), measured)
+        x, _, _ = loops.close_loops(before, x, np.zeros(5), measured)
         before = x.q
         rows.append((x.q + 1e-4 * random.normal(size=5), x.v))
     order = [robot.joint(name).v for name in leg.joints]
@@ -77,7 +77,7 @@ def _check_rows(leg, q):
     leg.send(0, position=q[0], velocity=np.zeros(len(leg.joints)))
     leg.probe.spin_until(lambda: leg.forces)
     measured[order] = q[0]
-    x, a = inverse.consistent(scene.initial._replace(q=measured, v=still), still)
+    x, a = inverse.project_motion(scene.initial._replace(q=measured, v=still), still)
     expected = inverse.solve(x, a).multipliers
     np.testing.assert_allclose(leg.forces[0].effort, expected, rtol=1e-9, atol=1e-9)
     assert np.abs(expected).max() > 0.1

@@ -77,7 +77,7 @@ def test_powers_come_with_every_joint_state_at_500_hz(arm):
     arm.probe.spin_until(lambda: len(found) >= count)
     assert len(found) == count
     scene, solver = arm.scene, arm.scene.inverse_dynamics()
-    power = ObservedPower(scene.robot, solver, scene.wrenches, scene.acting)
+    power = ObservedPower(scene.robot, solver, scene.wrenches, scene.forces_without_input)
     q, still = arm.position(0.2 * (count - 1)), np.zeros(len(arm.joints))
     expected = power.values(q, arm.speed, still, solver.solve(q, arm.speed, still))
     last = named(found[-1])

@@ -604,7 +604,7 @@ def test_11_21_22_description_on_a_topic_and_a_wheel_that_wraps(start_node, prob
     publisher = probe.node.create_publisher(String, "/robot_description", LATCHED)
     probe.spin_until(publisher.get_subscription_count)
     publisher.publish(String(data=URDF.format(mass=-1.0)))
-    node.wait_for("mass is -1 kg, expected > 0")
+    node.wait_for("mass is -1 kg, but must not be negative")
     publisher.publish(String(data=URDF.format(mass=1.0)))
     node.wait_for(ACTIVE)
     stream = Stream(node, probe, load_scene(scene, URDF.format(mass=1.0)))

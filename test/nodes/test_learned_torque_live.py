@@ -50,4 +50,4 @@ def test_a_structured_model_costs_little_and_warns_beyond_its_range(domain, tmp_
             return [h for h in said if h.level == WARN]
 
         (health, *_) = stream.probe.spin_until(warned)
-        assert "position of joint7 is outside of what was learned from" in health.message
+        assert "position of joint7 is outside of the trained range" in health.message

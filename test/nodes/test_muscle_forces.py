@@ -110,7 +110,7 @@ def load_of(arm, pose, shares):
     loads, still = task.loads(arm.scene), np.zeros(2)
     x = State(0.0, np.array(pose), still)
     total, _ = loads.solve(x, still, shares.force[0], shares.reserve[0])
-    return total[[one.link for one in loads.joined].index("lower")]
+    return total[[one.link for one in loads.joint_links].index("lower")]
 
 
 def test_measured_activations_are_a_lower_bound_while_they_stand(start_node, probe, tmp_path):

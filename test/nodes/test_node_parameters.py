@@ -61,7 +61,7 @@ def test_a_node_class_is_at_most_three_levels_below_that_of_rclpy(name):
 
 @pytest.mark.parametrize("name", NODES)
 def test_no_parameter_is_lost_or_changes_its_type_default_range_or_when_it_may_change(name):
-    """`parameters.json` holds what release 0.1.0 promises; new parameters are welcome."""
+    """`parameters.json` holds what the last release promises; new parameters are welcome."""
     now = {key: row(parameter) for key, parameter in declared(name).items()}
     promised = PROMISED[name]
     assert list(now)[: len(promised)] == list(promised)

@@ -269,7 +269,7 @@ def test_11_21_22_a_simulation_waits_for_its_robot_and_keeps_it(start_node, prob
 @pytest.mark.parametrize(
     ("scene", "parameters", "reason"),
     [
-        (PENDULUM, "rate: 1500.0", "a tick of 0.000666667 s is no whole number of steps of dt"),
+        (PENDULUM, "rate: 1500.0", "a tick of 0.000666667 s is not a multiple of the step dt"),
         (PENDULUM, "joints: [knee]", "parameter 'joints' is knee; accepted: all actuated joints"),
     ],
 )

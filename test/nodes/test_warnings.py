@@ -37,6 +37,6 @@ def test_a_flood_of_different_reasons_is_cut_off_and_not_kept(clock):
         drops.add("malformed", f"name{k} is strange")
     assert len(said) == VARIETY
     assert drops.counts == {"malformed": 5000}
-    assert len(drops._said["malformed"]) == VARIETY
+    assert len(drops._quiet_until["malformed"]) == VARIETY
     drops.add("jump", "joint1 jumped")
     assert len(said) == VARIETY + 1

@@ -172,7 +172,7 @@ def test_a_bristle_does_not_walk_under_a_load_that_swings():
 def test_a_bristle_that_slips_lags_by_its_share_of_the_load():
     """Dragged along a circle at a large distance, the deflection follows the slip."""
     part = block(BRISTLE, [(0.0, 0.0), (1.0, 0.0)]).parts["contacts"][0]
-    law, limit = part.rubbing, 5.0
+    law, limit = part.friction_law, 5.0
     z, dt = (0.0, 0.0), 1e-5
     for step in range(20000):
         angle = 1e-3 * step
@@ -344,7 +344,7 @@ def test_every_integrator_takes_bristles(method, dt):
         ({"friction": 0.5, "creep": 0.0}, "creep: 0 is out of range"),
         ({"friction": 0.5, "bristle_stiffness": 1e4}, "both bristle_stiffness and"),
         ({**BRISTLE, "creep": 1e-3}, "not both"),
-        ({"exponent": 1.5}, "exponent belongs to law: hunt_crossley"),
+        ({"exponent": 1.5}, "exponent is accepted with law: hunt_crossley only"),
         ({"stiffness": 0.0}, "stiffness: 0 is out of range"),
         ({"dissipation": -1.0}, "dissipation: -1 is out of range"),
         ({"law": "hertz"}, "law: expected one of linear, hunt_crossley"),

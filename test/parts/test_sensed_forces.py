@@ -12,10 +12,10 @@ from mbd_ros.core.kinematics.poses import (
     vector_quaternion,
 )
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.estimation.estimation import estimation_of
+from mbd_ros.features.estimation.estimation import build_estimation
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 
 STEP = 0.002
@@ -25,7 +25,7 @@ def felt(scene, x, u=None):
     """What the sensors of a scene measure at a state, without noise."""
     system = scene.system()
     found = system.evaluate(x, u)
-    reactions = FeltReactions(system).at(x, u, found.a, found.lam)
+    reactions = SystemReactions(system).at(x, u, found.a, found.lam)
     system.k.refresh(x.q, x.v)
     now = Now(found.a, found.lam, reactions)
     return [sensor.measure(system.k, x, now) for sensor in scene.sensors], found
@@ -85,7 +85,7 @@ def test_a_pose_alone_shows_a_free_body_that_tumbles():
     sensors = {"seen": {"type": "pose", "frame": "box"}}
     scene = load_scene("free_flyer").with_(sensors=sensors)
     joints = [joint.name for joint in scene.robot.joints]
-    found = estimation_of(scene, EstimateTask(), joints, [])
+    found = build_estimation(scene, EstimateTask(), joints, [])
     process, simulation = found.process, found.scene.simulation()
     base = next(base for base in scene.robot.bases if base.name == "box")
     v = scene.initial.v.copy()
@@ -99,7 +99,7 @@ def test_a_pose_alone_shows_a_free_body_that_tumbles():
         x = simulation.system.expand(y)
         now = simulation.system.evaluate(x)
         values = np.concatenate(noisy.at(simulation.system, x, Now(now.a, now.lam), k))
-        tracker.take(0.005 * k, values, None)
+        tracker.add_sample(0.005 * k, values, None)
         turns.append(np.linalg.norm(values[process.sensors.names.index("seen.rotation_x") :][:3]))
     assert max(turns) > 3.0
     off = process.minus(y, tracker.belief.x)
@@ -114,7 +114,7 @@ def test_noise_of_forces_is_that_which_is_asked_for():
     live = scene.simulation()
     x = live.system.expand(live.start(scene.initial))
     found = live.system.evaluate(x)
-    reactions = FeltReactions(live.system).at(x, None, found.a, found.lam)
+    reactions = SystemReactions(live.system).at(x, None, found.a, found.lam)
     noisy, now = NoisySensors(scene.sensors, 5), Now(found.a, found.lam, reactions)
     told = [noisy.at(live.system, x, now, k)[0][0] for k in range(400)]
     assert noisy.needs_reactions and 0.17 < np.std(told) < 0.23
@@ -127,7 +127,7 @@ def test_measured_efforts_show_an_unknown_torque_at_once():
     sensors = {"torque": {"type": "effort", "joint": "joint4", "noise": 0.02}}
     scene = load_scene("arm7").with_(sensors=sensors)
     joints = [joint.name for joint in scene.robot.joints]
-    found = estimation_of(scene, EstimateTask(disturbance=("joint4",)), joints, [])
+    found = build_estimation(scene, EstimateTask(disturbance=("joint4",)), joints, [])
     found.estimator.begin(found.process.start, 1e-4 * found.prior, 0.0)
     tracker, rng = Tracker(found.estimator, found.process.sensors), np.random.default_rng(6)
     simulation = found.scene.simulation()
@@ -136,7 +136,7 @@ def test_measured_efforts_show_an_unknown_torque_at_once():
     for k in range(1, 26):
         y = simulation.advance(y, None, STEP * k)
         values = found.process.sensors.values(y, None)
-        tracker.take(STEP * k, values + noise * rng.standard_normal(len(noise)), None)
+        tracker.add_sample(STEP * k, values + noise * rng.standard_normal(len(noise)), None)
     x = found.process.simulation.system.expand(tracker.belief.x)
     assert found.unknown_efforts(x)[0] == pytest.approx(4.0, abs=0.2)
 

@@ -43,9 +43,9 @@ def rigid(a, b, friction=0.5, more=""):
             rigid("box", "{sphere: 1, colour: 2}"),
             "unknown key 'colour', accepted: frame, xyz, rpy",
         ),
-        (rigid("box", "box"), "do not move against each other"),
-        (rigid("{frame: box, half_space: [0, 0, 1]}", "ground"), "a half space and a half space"),
-        (rigid("{sphere: 1}", "ground"), "do not move against each other"),
+        (rigid("box", "box"), "have no relative motion"),
+        (rigid("{frame: box, half_space: [0, 0, 1]}", "ground"), "contact of two half spaces"),
+        (rigid("{sphere: 1}", "ground"), "have no relative motion"),
         ("{type: rigid, between: [box], friction: 0}", r"between: expected two sides, \[a, b\]"),
         ("{type: rigid, friction: 0}", "key 'between' is missing"),
         ("{type: stiff, between: [box, ground]}", "unknown type 'stiff', accepted: compliant, ri"),
@@ -262,7 +262,7 @@ def test_links_of_members_have_collisions_by_their_names_there(tmp_path):
     system = scene.system()
     system.k.refresh(scene.initial.q, scene.initial.v)
     assert ground.pair.gaps(system.k) == pytest.approx([1.0 - 0.1 - 0.5 - 0.05], abs=1e-12)
-    assert base.pair.room(system.k, base.pair.gaps(system.k)) == pytest.approx(0.4, abs=1e-6)
+    assert base.pair.clearance(system.k, base.pair.gaps(system.k)) == pytest.approx(0.4, abs=1e-6)
     assert both.pair.gaps(system.k) == pytest.approx([np.hypot(2.9, 0.1) - 0.05], abs=1e-6)
 
 

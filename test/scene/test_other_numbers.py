@@ -84,7 +84,7 @@ def test_other_numbers_are_those_of_a_scene_built_anew(leg, key):
 
 def test_only_what_changes_is_built_again(leg, monkeypatch):
     monkeypatch.setattr(robot_entry, "read_robots", None)
-    monkeypatch.setattr(robot_reader, "read_recipe", None)
+    monkeypatch.setattr(robot_reader, "read_model_source", None)
     softer = leg.with_({"ankle_joint_spring.stiffness": 3.0})
     assert softer.forces[0] is not leg.forces[0]
     assert softer.forces[1:] == leg.forces[1:] and softer.constraints == leg.constraints

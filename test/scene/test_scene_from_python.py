@@ -118,7 +118,7 @@ def test_a_class_stands_for_its_name():
         ({"force": []}, "unknown key 'force', accepted: robot, robots, bodies"),
         ({"dt": "fast"}, "dt: expected a number, got 'fast'"),
         ({"robot": {"urdf": "a.urdf"}}, "robot: its description is given twice"),
-        ({"robot": {"base": "flying"}}, "robot: base 'flying', accepted"),
+        ({"robot": {"base": "flying"}}, "robot: base is 'flying', accepted"),
         ({"robot": 3}, "robot: expected a mapping, got 3"),
         ({"initial": {"position": {"nose": 1}}}, "initial.position: no joint 'nose'; the robot"),
         ({"integrator": "rk4"}, "integrator: expected a mapping, got 'rk4': write {type: rk4}"),
@@ -280,7 +280,7 @@ def test_a_scene_takes_other_inertias(leg):
     ("inertias", "message"),
     [
         ({"shin": GIVEN}, "no link 'shin'; the links are world, "),
-        ({"shank": (-1.0, *GIVEN[1:])}, "link 'shank': mass is -1 kg, expected > 0"),
+        ({"shank": (-1.0, *GIVEN[1:])}, "link 'shank': mass is -1 kg, but must not be negative"),
         ({"shank": (np.nan, *GIVEN[1:])}, "link 'shank': <mass value='nan'>: expected a finite"),
         ({"shank": (1.0, [0, 0], TENSOR)}, "link 'shank': expected a pinocchio.Inertia, or mass"),
         ({"shank": 3.0}, "link 'shank': expected a pinocchio.Inertia, or mass [kg]"),

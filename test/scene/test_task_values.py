@@ -8,8 +8,8 @@ from places import ROOT
 
 from mbd_ros.api import load_scene
 from mbd_ros.errors import MbdError, SceneError
-from mbd_ros.features.estimation.estimation import estimation_of
-from mbd_ros.features.prediction.problem import problem_of
+from mbd_ros.features.estimation.estimation import build_estimation
+from mbd_ros.features.prediction.problem import build_problem
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reading.building import build
 from mbd_ros.scene.schema.sections import TASKS, keys
@@ -189,8 +189,8 @@ def test_what_is_wrong_with_a_prediction_is_named(tmp_path, case):
 def test_the_speed_of_several_positions_is_refused(tmp_path):
     text = PREDICTED.replace("type: speed, of: cart.position", 'type: speed, of: "*.position"')
     scene = load_scene("cart_pole")
-    with pytest.raises(MbdError, match="goal speed: '\\*.position' is cart.position, pole"):
-        problem_of(scene, parts_of(mapping_of(text, "task"), scene, tmp_path)["predict"])
+    with pytest.raises(MbdError, match="goal speed: '\\*.position' matches cart.position, pole"):
+        build_problem(scene, parts_of(mapping_of(text, "task"), scene, tmp_path)["predict"])
 
 
 @pytest.mark.parametrize("kind", ["[a]", "{a: b}", "3", "null", "{}"])
@@ -199,4 +199,4 @@ def test_a_type_of_an_estimator_is_a_word(tmp_path, kind):
     task = parts_of(mapping_of(text, "task"), scene, tmp_path)["estimate"]
     names = [joint.name for joint in scene.robot.joints]
     with pytest.raises(SceneError, match="estimate.estimator: type is .*, accepted: a word such"):
-        estimation_of(scene, task, names, [])
+        build_estimation(scene, task, names, [])

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from mbd_ros.features.identification.learn.onnx_file import onnx_of
+from mbd_ros.features.identification.learn.onnx_file import onnx_bytes
 from mbd_ros.features.identification.learn.training_samples import CURVES, Scales
-from mbd_ros.methods.learned import About, numbers_of
+from mbd_ros.methods.learned_model import About, numbers_of
 from mbd_ros.scene.reading.learned_entries import physics_beside
 
 MEMBERS, HIDDEN = 3, 8
@@ -41,4 +41,4 @@ def content(scene, kind="free", half=3.0, trust=1.0, **corrections):
     wall = np.full(2 * m, half)
     said = About(kind, "arm7", joints, -wall, wall, numbers_of(scene.robot))
     said = said._replace(physics=physics_beside(scene, said), **corrections)
-    return onnx_of(said, weights(kind, m), scales(m), np.full(m, trust))
+    return onnx_bytes(said, weights(kind, m), scales(m), np.full(m, trust))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from places import ROOT
 
 INDEX = ROOT / "docs/index.md"
-GROUPS = ("Get started", "Tasks")
+GROUPS = ("Tutorials", "How-to guides", "Explanation")
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"(?:# |<!-- )([\w.-]+\.\w+)(?: -->)?\n")
 
@@ -35,7 +35,7 @@ def task_pages():
     _, *pieces = re.split(r"^## (.+)$", index, flags=re.MULTILINE)
     texts = dict(zip(pieces[::2], pieces[1::2], strict=True))
     names = [name for group in GROUPS for name in re.findall(r"\]\((\w+\.md)\)", texts[group])]
-    return [ROOT / "README.md", *(ROOT / "docs" / name for name in names)]
+    return [ROOT / "README.md", *(ROOT / "docs" / name for name in dict.fromkeys(names))]
 
 
 def blocks(page):

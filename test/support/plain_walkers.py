@@ -36,7 +36,7 @@ class PlainWalker:
     def minus(self, x1, x0):
         return np.concatenate((x1.q - x0.q, x1.v - x0.v))
 
-    def onto(self, x):
+    def project(self, x):
         return x
 
     def basis(self, x):

@@ -48,9 +48,9 @@ def within(internals, rng):
 def conditions(system, y):
     """Condition of M, and of J M^-1 J' in the metric of both."""
     M = np.array(system.mass(y.q).dense)
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return np.linalg.cond(M)
-    J = system.held.jacobian(y.t, y.q)
+    J = system.bilateral.jacobian(y.t, y.q)
     return max(np.linalg.cond(M), np.linalg.cond(J @ np.linalg.solve(M, J.T)))
 
 

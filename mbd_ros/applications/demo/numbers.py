@@ -133,15 +133,15 @@ class DemoNumbers:
         signals, ticks = self.signals, len(self.signals.states.time)
         expected = round((signals.states.time[-1] - signals.states.time[0]) * RATE) + 1
         answers, opened = len(signals.loop.time), max(self.violation)
-        kept = {"commands": len(signals.commands), "torque estimates": len(signals.torques.time)}
+        counts = {"commands": len(signals.commands), "torque estimates": len(signals.torques.time)}
         return [
             Check("every number is finite", self._is_finite(), f"{ticks} joint states"),
             Check("no joint state is missing", ticks == expected, f"{ticks} of {expected}"),
             Check("the controller answered each", answers == ticks, f"{answers} of {ticks}"),
             Check(
                 f"at most {100 * _LOST:g} % were not recorded",
-                min(kept.values()) >= (1.0 - _LOST) * ticks,
-                ", ".join(f"{count} {what}" for what, count in kept.items()),
+                min(counts.values()) >= (1.0 - _LOST) * ticks,
+                ", ".join(f"{count} {what}" for what, count in counts.items()),
             ),
             Check(f"constraint violation <= {_OPEN:g}", opened <= _OPEN, f"{opened:.2g}"),
         ]
@@ -338,21 +338,21 @@ def read_signals(bag: Path, controller: str) -> Signals:
     Raises:
         DataError: Not a bag, or not that of a demo.
     """
-    kept: dict[str, list[Any]] = {}
+    recorded: dict[str, list[Any]] = {}
     logs: dict[str, list[int]] = {}
     for topic, log_time, message in messages(bag):
-        kept.setdefault(topic, []).append(message)
+        recorded.setdefault(topic, []).append(message)
         logs.setdefault(topic, []).append(log_time)
-    trajectory, own = reference(controller), loop_state(controller)
-    needed = (STATES, COMMANDS, own, TORQUES, trajectory, DIAGNOSTICS)
-    if lacking := [topic for topic in needed if topic not in kept]:
+    trajectory, loop_topic = reference(controller), loop_state(controller)
+    needed = (STATES, COMMANDS, loop_topic, TORQUES, trajectory, DIAGNOSTICS)
+    if lacking := [topic for topic in needed if topic not in recorded]:
         raise DataError(f"{bag}: nothing on {', '.join(lacking)}")
     stamped = {topic: np.array(times) for topic, times in logs.items()}
 
     def series(topic: str) -> Series | None:
-        return _series(kept[topic], stamped[topic]) if topic in kept else None
+        return _series(recorded[topic], stamped[topic]) if topic in recorded else None
 
-    states, loop, torques = map(series, (STATES, own, TORQUES))
+    states, loop, torques = map(series, (STATES, loop_topic, TORQUES))
     assert states and loop and torques
     return Signals(
         states,
@@ -360,10 +360,10 @@ def read_signals(bag: Path, controller: str) -> Signals:
         torques,
         series(FORCES),
         series(COUPLING),
-        np.array([message.data for message in kept[COMMANDS]], dtype=np.float64),
+        np.array([message.data for message in recorded[COMMANDS]], dtype=np.float64),
         stamped[COMMANDS],
-        read_joint_trajectory(kept[trajectory][-1]),
-        _health(kept[DIAGNOSTICS]),
+        read_joint_trajectory(recorded[trajectory][-1]),
+        _health(recorded[DIAGNOSTICS]),
         stamped,
     )
 

@@ -160,7 +160,7 @@ class Check(NamedTuple):
 
     what: str
     is_met: bool
-    found: str
+    value: str
 
 
 def lines(table: Table) -> Iterator[str]:
@@ -179,7 +179,7 @@ def lines(table: Table) -> Iterator[str]:
 
 def check_table(checks: Sequence[Check]) -> Table:
     """The checks of a demo, a row each."""
-    rows = [(c.what, "yes" if c.is_met else "NO", c.found) for c in checks]
+    rows = [(c.what, "yes" if c.is_met else "NO", c.value) for c in checks]
     return Table("Checks", ("", "met", "found"), rows)
 
 

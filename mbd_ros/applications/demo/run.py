@@ -82,7 +82,7 @@ def demo(order: Demo) -> Iterator[str]:
             log.unlink()
         numbers = DemoNumbers(read_signals(folder / BAG, run.controller), folder)
         summary = tables(numbers)
-        failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
+        failed = [f"{c.what}: {c.value}" for c in numbers.checks() if not c.is_met]
         moving = _moving(numbers, folder / BAG, robot.title)
         content = _content(order, numbers, summary, failed, gains, moving)
         write_page(folder, overview(numbers), content)

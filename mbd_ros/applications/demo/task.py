@@ -155,11 +155,11 @@ def _gravity_torques(scene: Scene, reference: ReferenceTrajectory) -> Array:
     observed = ObservedState(joints.system, scene.couplings)
     driven = [joint.q for joint in joints.joints]
     still = np.zeros(len(scene.couplings.v_index))
-    q, held = scene.initial.q.copy(), []
+    q, torques = scene.initial.q.copy(), []
     for position in reference.q:
         q[driven] = position
         x = observed.state(0.0, q[scene.couplings.q_index], still)
         q = x.q.copy()  # the next sample closes its loops from here
         response = joints.response(x)
-        held.append(MobilityFactor(response.mobility).solve(-response.a_free))
-    return np.array(held)
+        torques.append(MobilityFactor(response.mobility).solve(-response.a_free))
+    return np.array(torques)

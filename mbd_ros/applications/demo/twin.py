@@ -28,7 +28,12 @@ from mbd_ros.applications.demo.page import Table as SummaryTable
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
 from mbd_ros.applications.demo.task import TWIN
 from mbd_ros.core.state import Array, State
-from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of, made_ready
+from mbd_ros.features.estimation.estimation import (
+    EFFORTS,
+    Estimation,
+    build_estimation,
+    prepare_scene,
+)
 from mbd_ros.features.estimation.faults import FaultNaming
 from mbd_ros.features.estimation.state_reconstruction import Determinations
 from mbd_ros.features.estimation.task import EstimateTask
@@ -74,7 +79,7 @@ def twin(out: Path) -> Iterator[str]:
         numbers = TwinNumbers()
         checks = numbers.checks()
         summary = [_faults(numbers), check_table(checks)]
-        failed = [f"{c.what}: {c.found}" for c in checks if not c.is_met]
+        failed = [f"{c.what}: {c.value}" for c in checks if not c.is_met]
         _samples(numbers).to(folder / f"{TWIN_TABLE}.csv")
         content = _content(numbers, summary, failed)
         write_page(folder, overview(numbers), content)
@@ -129,10 +134,10 @@ class TwinNumbers:
         self.runs = [_run(self.scene, fault) for fault in ("", *HYPOTHESES)]
 
     def checks(self) -> list[Check]:
-        """What must hold."""
+        """Return the checks of the demonstration."""
         sound = self.runs[0]
         named = ", ".join(what for _, what in sound.named) or "nothing"
-        found = [
+        results = [
             Check(
                 "joints that nothing measures, largest error [mrad]",
                 self.error("position") <= _POSITION,
@@ -148,13 +153,13 @@ class TwinNumbers:
         for run in self.runs[1:]:
             late = self.delay(run)
             said = "never" if late is None else f"after {late:.2f} s"
-            found.append(
+            results.append(
                 Check(f"'{run.fault}' is named", late is not None and late <= NAMED, said)
             )
-        return found
+        return results
 
     def error(self, what: str) -> float:
-        """Of the run without a fault, once the twin knows the speed [rad or N]."""
+        """Return the error without a fault, once the twin knows the speed [rad or N]."""
         samples = self.runs[0].samples
         after = samples["time"] > _SETTLED
         if what == "position":
@@ -173,7 +178,7 @@ class TwinNumbers:
 
 def _run(scene: Scene, fault: str) -> Run:
     task = EstimateTask(disturbance=None)
-    estimation = estimation_of(scene, task, ["crank"], ())
+    estimation = build_estimation(scene, task, ["crank"], ())
     system, rng = estimation.process.simulation.system, np.random.default_rng(SEED)
     press, tracker = _Press(scene, fault), _tracker(estimation)
     naming = _naming(scene, estimation)
@@ -184,17 +189,17 @@ def _run(scene: Scene, fault: str) -> Run:
         u = u.copy()
         u[slot] = [torque[0], 0.0, 0.0]
         noise = scene.sensors[0].noise  # type: ignore[attr-defined]
-        tracker.take(k * STEP, x.q[:1] + noise * rng.standard_normal(1), u)
+        tracker.add_sample(k * STEP, x.q[:1] + noise * rng.standard_normal(1), u)
         belief = tracker.belief
-        found = system.expand(belief.x)
-        now = system.evaluate(found, u)
+        state = system.expand(belief.x)
+        now = system.evaluate(state, u)
         closest = min(closest, ahead.at(belief.x, system.integrated(now.a)).time)
-        lacking = estimation.unknown_efforts(found)
-        naming.add(found, u, lacking, np.sqrt(belief.P.diagonal()[-len(lacking) :]))
-        what = naming.named().name
+        lacking = estimation.unknown_efforts(state)
+        naming.add(state, u, lacking, np.sqrt(belief.P.diagonal()[-len(lacking) :]))
+        what = naming.diagnose().name
         if what != named[-1][1]:
             named.append((k * STEP, what))
-        rows.append([k * STEP, *x.q, *found.q, *force, *now.lam[:2], lacking[0], torque[0]])
+        rows.append([k * STEP, *x.q, *state.q, *force, *now.lam[:2], lacking[0], torque[0]])
     return Run(fault, _table(np.array(rows)), named[1:], closest)
 
 
@@ -239,18 +244,20 @@ class _Press:
 
 def _tracker(estimation: Estimation) -> Tracker:
     process, first = estimation.process, estimation.scene.initial
-    y = process.near(process.consistent(first), np.array([first.q[0]]), estimation.prior)
+    y = process.fit_state(process.consistent(first), np.array([first.q[0]]), estimation.prior)
     estimation.estimator.begin(y, estimation.prior, 0.0)
     return Tracker(estimation.estimator, process.sensors)
 
 
-def _naming(scene: Scene, found: Estimation) -> FaultNaming:
+def _naming(scene: Scene, estimation: Estimation) -> FaultNaming:
     systems = {
-        name: made_ready(with_numbers(scene, dict(numbers)), found.task, found.disturbed).system()
+        name: prepare_scene(
+            with_numbers(scene, dict(numbers)), estimation.task, estimation.disturbed
+        ).system()
         for name, numbers in HYPOTHESES.items()
     }
-    at = np.array([scene.robot.joint(name).v for name in found.disturbed], dtype=np.intp)
-    return FaultNaming(found.process.simulation.system, systems, at, WINDOW)
+    at = np.array([scene.robot.joint(name).v for name in estimation.disturbed], dtype=np.intp)
+    return FaultNaming(estimation.process.simulation.system, systems, at, WINDOW)
 
 
 def _table(rows: Array) -> Table:
@@ -271,13 +278,13 @@ def pictures(numbers: TwinNumbers) -> dict[str, bytes]:
 
 def _draw_sound(numbers: TwinNumbers, panel: Any, i: int) -> None:
     samples = numbers.runs[0].samples
-    true, found, text = (
+    true, estimated, text = (
         ("rocker.position", "rocker.estimate", "rocker [rad]"),
         ("coupler.position", "coupler.estimate", "coupler [rad]"),
         (_CLOSURE_X, f"{_CLOSURE_X}_estimate", "force of the closure, x [N]"),
     )[i]
     line(panel, samples["time"], samples[true], BLACK, "press")
-    line(panel, samples["time"], samples[found], BLUE, "twin", "--")
+    line(panel, samples["time"], samples[estimated], BLUE, "twin", "--")
     name(panel, text)
     panel.legend(fontsize=7, loc="upper right")
 

@@ -106,7 +106,7 @@ def walking(out: Path) -> Iterator[str]:
         yield f"{WALKING} ..."
         numbers = WalkingNumbers()
         summary = tables(numbers)
-        failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
+        failed = [f"{c.what}: {c.value}" for c in numbers.checks() if not c.is_met]
         for name in TABLES:
             getattr(numbers, name).to(folder / f"{name}.csv")
         content = _content(numbers, summary, failed)
@@ -187,12 +187,12 @@ class WalkingNumbers:
 
     @cached_property
     def weight(self) -> float:
-        """Of the person [N]."""
+        """Weight of the person [N]."""
         return BODY_MASS * float(np.linalg.norm(self.scene.robot.model.gravity.linear))
 
     @cached_property
     def load(self) -> Array:
-        """Of the knee with all muscles as simulated, in axes of the shank [N], shape (n, 3)."""
+        """Simulated load of the knee with all muscles, in axes of the shank [N], shape (n, 3)."""
         task = muscles_task(self.scene, {"reactions": "child", "links": [LINK]}, "walking")
         loads, samples = task.loads(self.scene), self.swing[MAIN]
         assert loads is not None
@@ -207,27 +207,27 @@ class WalkingNumbers:
         return np.array(found)
 
     def load_of(self, result: Result) -> Array:
-        """Of the knee by static optimisation [N], shape (n, 3)."""
+        """Return the load of the knee by static optimisation [N], shape (n, 3)."""
         return columns(result, [f"{LINK}.load"], *(f"force_{axis}" for axis in _AXES))
 
     @cached_property
     def angle_errors(self) -> Array:
-        """Of marker kinematics behind the low-pass [rad], shape (n, 3)."""
+        """Errors of marker kinematics after the low-pass filter [rad], shape (n, 3)."""
         return columns(self.moments, JOINTS, "position") - columns(self.swing, JOINTS, "position")
 
     @cached_property
     def moment_errors(self) -> Array:
-        """Of inverse dynamics [N·m], shape (n, 3)."""
+        """Errors of inverse dynamics [N·m], shape (n, 3)."""
         return columns(self.moments, JOINTS, "effort") - columns(self.known, JOINTS, "effort")
 
     @cached_property
     def moment_ranges(self) -> Array:
-        """Of the true moments [N·m], shape (3,)."""
+        """Ranges of the true moments [N·m], shape (3,)."""
         return np.ptp(self.inner(columns(self.known, JOINTS, "effort")), axis=0)
 
     @cached_property
     def balance(self) -> Array:
-        """What muscles by their arms, and reserves, leave of the moments [N·m], shape (n, 3)."""
+        """Moments that muscles and reserves do not explain [N·m], shape (n, 3)."""
         arms = self.scene.moment_arms(self.forces)[MAIN]
         tension, none = columns(self.forces, self.muscles, "force"), np.zeros(len(self.time))
         arm = np.array([[arms.get(f"{m}.{j}", none) for m in self.muscles] for j in JOINTS])
@@ -236,7 +236,7 @@ class WalkingNumbers:
 
     @property
     def reserves(self) -> Array:
-        """Of the joints [N·m], shape (n, 3)."""
+        """Reserves of the joints [N·m], shape (n, 3)."""
         return columns(self.forces, [f"{joint}_reserve" for joint in JOINTS], "force")
 
     def load_errors(self, result: Result) -> Array:
@@ -249,7 +249,7 @@ class WalkingNumbers:
         return values[(time >= END - 1e-9) & (time <= time[-1] - END + 1e-9)]
 
     def checks(self) -> list[Check]:
-        """What must hold."""
+        """Return the checks of the demonstration."""
         seen, expected = float(rms(self.motion["residuals"]["rms"])), _expected_rms()
         angle, moment = rms(self.inner(self.angle_errors)), rms(self.inner(self.moment_errors))
         share = rms(self.reserves) / rms(columns(self.forces, JOINTS, "effort"))
@@ -301,7 +301,10 @@ def rms(values: Array) -> Array:
 
 
 def _expected_rms() -> float:
-    """Of distances of markers [m]: each joint takes one of their components with it."""
+    """Return the expected root mean square distance of markers [m].
+
+    Each joint takes up one of their components.
+    """
     count = len(MARKERS)
     return NOISE * float(np.sqrt((3 * count - len(JOINTS)) / count))
 
@@ -340,16 +343,16 @@ def _knee(numbers: WalkingNumbers) -> SummaryTable:
 
 
 def _muscles(numbers: WalkingNumbers) -> SummaryTable:
-    swing, found, names = numbers.swing[MAIN], numbers.forces, numbers.muscles
+    swing, computed, names = numbers.swing[MAIN], numbers.forces, numbers.muscles
     tension = columns(numbers.swing, names, "tension")
-    error = rms(numbers.inner(columns(found, names, "force") - tension))
+    error = rms(numbers.inner(columns(computed, names, "force") - tension))
     rows = [
         (
             name,
             f"{swing[f'{name}.activation'].max():.3f}",
-            f"{found[MAIN][f'{name}.activation'].max():.3f}",
+            f"{computed[MAIN][f'{name}.activation'].max():.3f}",
             f"{tension[:, i].max():.0f}",
-            f"{found[MAIN][f'{name}.force'].max():.0f}",
+            f"{computed[MAIN][f'{name}.force'].max():.0f}",
             f"{error[i]:.0f}",
         )
         for i, name in enumerate(names)
@@ -423,8 +426,8 @@ def _draw_angles(numbers: WalkingNumbers, panel: Any, i: int) -> None:
     name(panel, f"{JOINTS[i]} [deg]")
 
 
-def _draw_pair(numbers: WalkingNumbers, panel: Any, found: Any, true: Any) -> None:
-    line(panel, numbers.time, found, BLUE, _FOUND)
+def _draw_pair(numbers: WalkingNumbers, panel: Any, computed: Any, true: Any) -> None:
+    line(panel, numbers.time, computed, BLUE, _FOUND)
     line(panel, numbers.time, true, BLACK, _TRUE, "--")
 
 

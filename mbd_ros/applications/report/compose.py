@@ -30,7 +30,14 @@ from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import replacing
-from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
+from mbd_ros.jobs.workers.opening import (
+    Remaining,
+    Workers,
+    do_all,
+    duration_text,
+    open_workers,
+    watched,
+)
 from mbd_ros.jobs.workers.task import Result, Task, cpu
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import is_permitted, permitting
@@ -61,12 +68,12 @@ def report(order: Order) -> Iterator[str]:
     begin, facts = time.monotonic(), _facts(order)
     scenes = list(dict.fromkeys(map(_scene, order.scenes)))
     kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
-    found = collect(kinds, scenes, order.quick)
-    work = [item for made in found.values() if isinstance(made, list) for item in made]
+    work_of = collect(kinds, scenes, order.quick)
+    work = [item for made in work_of.values() if isinstance(made, list) for item in made]
     results: dict[str, Result] = {}
     facts["changed"] = yield from _results(order, work, results)
-    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
-    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
+    sections = {kind: _section(kind, made, results) for kind, made in work_of.items()}
+    sections = {k: _requested(s) if k in order.only else s for k, s in sections.items()}
     facts["pages"] = {}
     if not (order.quick or order.only):
         measured = {item.spec.get("scene") for item in work}
@@ -170,7 +177,7 @@ def _results(
         yield f"{len(work)} items, {len(results)} of them done before"
         if rest:
             expected = Remaining(rest, workers.count).seconds
-            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            yield f"{len(rest)} items by {workers.count} workers: about {duration_text(expected)}"
             results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
     if store.changed:
         yield f"changed while this ran: {', '.join(store.changed)}; run it again"
@@ -178,7 +185,7 @@ def _results(
 
 
 def label(item: Item) -> str:
-    """What an item is called among those of all kinds."""
+    """Return the label of an item, unique among all kinds."""
     return f"{item.kind}/{item.name}"
 
 
@@ -195,7 +202,7 @@ def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result
     return section._replace(wrong=[*failures, *section.wrong])
 
 
-def _asked(section: Section) -> Section:
+def _requested(section: Section) -> Section:
     """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
     if section.tables or section.wrong:
         return section
@@ -263,16 +270,16 @@ def collect(
     kinds: Sequence[str], scenes: Sequence[str], quick: bool
 ) -> dict[str, list[Item] | Section]:
     """The items of every kind; a section that says so where a package is missing."""
-    found: dict[str, list[Item] | Section] = {}
+    collected: dict[str, list[Item] | Section] = {}
     for kind in kinds:
         try:
-            found[kind] = _checked(kind, items.part(kind).items(scenes, quick))
+            collected[kind] = _checked(kind, items.part(kind).items(scenes, quick))
         except ModuleNotFoundError as error:
             if str(error.name).startswith("mbd_ros"):
                 raise
             line = f"{error.name} is not installed: pip install 'mbd_ros[{kind}]' brings it."
-            found[kind] = Section(kind.replace("_", " ").capitalize(), [line])
-    return found
+            collected[kind] = Section(kind.replace("_", " ").capitalize(), [line])
+    return collected
 
 
 def _checked(kind: str, work: list[Item]) -> list[Item]:

@@ -20,7 +20,7 @@ from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.errors import DataError
 from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import replacing
-from mbd_ros.jobs.workers.opening import spoken
+from mbd_ros.jobs.workers.opening import duration_text
 from mbd_ros.regular_file import open_regular
 
 # A section of the page: texts, tables, pictures, and lines to paste.
@@ -112,7 +112,8 @@ def _foot(facts: Mapping[str, Any]) -> Iterator[str]:
     changed = " with changes that are not committed" if git.get("changed") else ""
     rows = {
         "Git": f"{git['commit']}{changed}" if git else "not a checkout",
-        "Work": f"{spoken(facts['work'])} of computation, {spoken(facts['duration'])} in this run",
+        "Work": f"{duration_text(facts['work'])} of computation, "
+        f"{duration_text(facts['duration'])} in this run",
         **{_LABELS.get(k, k.capitalize()): str(v) for k, v in facts["machine"].items()},
         "Versions": ", ".join(f"{name} {v}" for name, v in facts["versions"].items()),
     }
@@ -163,7 +164,7 @@ def section_lines(kind: str, section: Section, pictures: Mapping[str, bytes]) ->
 
 
 def _subject(table: Table) -> str:
-    """What stands before the colon of a title."""
+    """Return the part of a title before its colon."""
     before, colon, _ = table.title.partition(": ")
     return before if colon else ""
 

@@ -49,7 +49,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, cpu: str) -> None:
-        with told(folder):
+        with naming_file(folder):
             if folder.exists() and not folder.is_dir():
                 raise DataError(f"{folder}: is not a folder")
             if folder.is_dir() and any(folder.iterdir()) and not _is_report(folder):
@@ -94,7 +94,7 @@ class Store:
             return
         entry = {"outcome": result.value, "took": result.seconds, "cpu": result.cpu}
         path = self._path(item, before, result.cpu)
-        with told(path):
+        with naming_file(path):
             path.parent.mkdir(exist_ok=True)
             with replacing(path) as file:
                 file.write(json.dumps({**item._asdict(), **entry}).encode())
@@ -109,7 +109,7 @@ class Store:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
+def naming_file(path: Path) -> Iterator[None]:
     """Whatever the system refuses, as an error that names the path.
 
     Raises:
@@ -129,7 +129,7 @@ def _is_report(folder: Path) -> bool:
 
 
 class _Basis(NamedTuple):
-    """What a result depends on besides its item: hashes of the program and of named files."""
+    """Dependencies of a result besides its item: hashes of the program and of named files."""
 
     program: str
     files: Mapping[str, str]
@@ -183,12 +183,12 @@ def _file(module: str) -> Path | None:
 @cache
 def _mentioned(source: bytes, with_texts: bool) -> tuple[str, ...]:
     """Modules of the report that a source imports, or names in a text to load them later."""
-    found: list[str] = []
+    names: list[str] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_texts:
-            found.append(node.value)
-        found += _names(node)
-    return tuple(name for name in found if _MODULE.fullmatch(name))
+            names.append(node.value)
+        names += _names(node)
+    return tuple(name for name in names if _MODULE.fullmatch(name))
 
 
 def _names(node: ast.AST) -> list[str]:
@@ -234,13 +234,13 @@ def program(module: str) -> str:
 
 def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
     """Versions of those packages that are installed."""
-    found = {"python": platform.python_version()}
+    version_of = {"python": platform.python_version()}
     for name in names:
         try:
-            found[name] = importlib.metadata.version(name)
+            version_of[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return version_of
 
 
 def named_files(value: Any) -> dict[str, str]:
@@ -262,15 +262,15 @@ def _strings(value: Any) -> Iterator[str]:
             yield from _strings(entry)
 
 
-def _add(found: dict[str, str], folder: Path, text: str) -> None:
+def _add(hashes: dict[str, str], folder: Path, text: str) -> None:
     if not text or len(text) > 1000 or "\n" in text or "\0" in text:
         return
     try:
         path = find_file(folder, text, "report")
-        if path.is_file() and str(path) not in found:
-            found[str(path)], named = _read(path)
+        if path.is_file() and str(path) not in hashes:
+            hashes[str(path)], named = _read(path)
             for entry in named:
-                _add(found, path.parent, entry)
+                _add(hashes, path.parent, entry)
     except (SceneError, OSError):  # a text that is no file
         return
 

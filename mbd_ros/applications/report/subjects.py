@@ -84,14 +84,14 @@ def _safe(name: str) -> str:
 
 def _unique(names: Sequence[str]) -> list[str]:
     """The same names, with a running number where one comes again, in whatever case."""
-    found: list[str] = []
+    unique: list[str] = []
     for name in names:
-        taken, number, tried = {one.lower() for one in found}, 1, name
+        taken, number, tried = {one.lower() for one in unique}, 1, name
         while tried.lower() in taken:
             number += 1
             tried = f"{name}_{number}"
-        found.append(tried)
-    return found
+        unique.append(tried)
+    return unique
 
 
 def _subject(path: str, quick: bool) -> Subject:

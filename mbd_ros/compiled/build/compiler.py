@@ -1,4 +1,4 @@
-"""The C compiler of this machine: runs of it end with this process."""
+"""The C compiler of this machine; its processes end with this one."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 from mbd_ros.errors import MbdError
 
-LONGEST = 900.0  # s that compilers may take
-_LOOK = 0.005  # s
-_LINES = 10  # of what a compiler says
+LONGEST = 900.0  # time limit of a compilation [s]
+_POLL = 0.005  # s
+_LINES = 10  # of compiler output in a message
 NAMES = ("cc", "gcc", "clang")
 OPTIMIZE = ("-O2", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
 WIDTH = ("-mprefer-vector-width=512",) if platform.machine() == "x86_64" else ()
@@ -35,22 +35,24 @@ class Compiler(NamedTuple):
     """A C compiler.
 
     Attributes:
-        identity: What tells it from other versions of it.
+        command: Command and arguments that start it.
+        identity: String that differs between versions of the compiler.
     """
 
-    words: tuple[str, ...]
+    command: tuple[str, ...]
     identity: str
 
     @property
     def name(self) -> str:
-        """The command as people write it."""
-        return shlex.join(self.words)
+        """The command as a line of a shell."""
+        return shlex.join(self.command)
 
     def build(self, texts: Sequence[str], folder: Path) -> Path:
-        """A shared library of C sources, which are compiled side by side on the cores there are.
+        """Build a shared library from C sources, which are compiled in parallel.
 
         Args:
-            folder: Where it may write.
+            texts: The sources.
+            folder: Folder for all files.
 
         Raises:
             BuildError: The compiler fails or does not end.
@@ -60,36 +62,40 @@ class Compiler(NamedTuple):
         sources = [folder / f"scene_{k}.c" for k in range(len(texts))]
         for source, text in zip(sources, texts, strict=True):
             source.write_text(text, encoding="utf-8")
-        link = (*self.words, *FLAGS, "-shared", "-o", str(library))
+        link = (*self.command, *FLAGS, "-shared", "-o", str(library))
         if len(sources) > 1:
             objects = [source.with_suffix(".o") for source in sources]
             pairs = zip(objects, sources, strict=True)
-            each = [(*self.words, *FLAGS, "-c", "-o", str(o), str(source)) for o, source in pairs]
-            run_all(self.name, each, folder)
+            commands = [
+                (*self.command, *FLAGS, "-c", "-o", str(o), str(source)) for o, source in pairs
+            ]
+            run_all(self.name, commands, folder)
             sources = objects
         run_all(self.name, [(*link, *map(str, sources), "-lm")], folder)
         if not library.is_file():
-            raise BuildError(f"{self.name} ended without an error and wrote nothing")
+            raise BuildError(f"{self.name} ended without an error but wrote no library")
         return library
 
 
 class BuildError(MbdError):
-    """Code that cannot be compiled or loaded: says by which program, where, and why not."""
+    """Code cannot be compiled or loaded; the message names program, place and reason."""
 
 
 def find_compiler() -> Compiler:
-    """The compiler that the variable CC names, else the first of cc, gcc, clang and ziglang.
+    """Return the compiler in the variable CC, or else the first of cc, gcc, clang and ziglang.
 
     Raises:
-        BuildError: There is none, or none of the name in CC.
+        BuildError: There is no compiler, or CC names none.
     """
     named = shlex.split(os.environ.get("CC", ""))
-    for words in [named] if named else [[name] for name in NAMES]:
-        found = shutil.which(words[0])
-        if found:
-            return Compiler((found, *words[1:]), _identity(Path(found)))
+    for command in [named] if named else [[name] for name in NAMES]:
+        program = shutil.which(command[0])
+        if program:
+            return Compiler((program, *command[1:]), _identity(Path(program)))
     if named:
-        raise BuildError(f"the variable CC names {named[0]!r}, which is no program here")
+        raise BuildError(
+            f"the variable CC names {named[0]!r}, which is not a program on this machine"
+        )
     zig = find_spec("ziglang")
     if zig is not None and zig.origin is not None:
         return Compiler((sys.executable, "-m", "ziglang", "cc"), _identity(Path(zig.origin)))
@@ -100,61 +106,63 @@ def find_compiler() -> Compiler:
 
 
 def _identity(program: Path) -> str:
-    """Changes when the program is installed anew."""
+    """Return a string that changes when the program is installed again."""
     real = program.resolve()
     status = real.stat()
     return f"{real} {status.st_size} {status.st_mtime_ns}"
 
 
 def run_all(name: str, commands: Sequence[Sequence[str]], folder: Path) -> None:
-    """Runs commands to their ends, as many at a time as there are cores.
+    """Run commands to their end, as many at a time as there are cores.
 
     Args:
-        name: What they are called in errors.
-        folder: For their temporary files.
+        name: Name of the program for errors.
+        commands: The commands.
+        folder: Folder for temporary files.
 
     Raises:
-        BuildError: One fails, does not start or does not end; the others are ended.
+        BuildError: A command fails, does not start or exceeds the time limit; all others are
+            terminated.
         OSError: The folder cannot be written.
     """
-    waiting, running = list(commands), list[Started]()
+    waiting, running = list(commands), list[StartedProgram]()
     end = time.monotonic() + LONGEST
     try:
         while waiting or running:
             while waiting and len(running) < cores():
-                running.append(_started(name, waiting.pop(0), folder))
-            time.sleep(_LOOK)
-            for one in [one for one in running if one.child.poll() is not None]:
-                running.remove(one)
-                _check(name, one)
+                running.append(_start(name, waiting.pop(0), folder))
+            time.sleep(_POLL)
+            for program in [p for p in running if p.child.poll() is not None]:
+                running.remove(program)
+                _check(name, program)
             if time.monotonic() > end:
                 raise BuildError(f"{name} did not end within {LONGEST:g} s")
     finally:
-        for one in running:
-            os.killpg(one.child.pid, signal.SIGKILL)
-            one.child.wait()
+        for program in running:
+            os.killpg(program.child.pid, signal.SIGKILL)
+            program.child.wait()
 
 
-class Started(NamedTuple):
-    """A program and what it says."""
+class StartedProgram(NamedTuple):
+    """A running program and the file of its output."""
 
     child: subprocess.Popen[bytes]
-    said: Path
+    output: Path
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def _started(name: str, words: Sequence[str], folder: Path) -> Started:
-    """A program in a group of its own, whose children end with it."""
-    handle, said = tempfile.mkstemp(suffix=".txt", dir=folder)
+def _start(name: str, command: Sequence[str], folder: Path) -> StartedProgram:
+    """Start a program in a process group of its own, so that its children end with it."""
+    handle, output = tempfile.mkstemp(suffix=".txt", dir=folder)
     try:
         child = subprocess.Popen(
-            words,
+            command,
             env={**os.environ, "TMPDIR": str(folder), "LC_ALL": "C"},
             stdin=subprocess.DEVNULL,
             stdout=handle,
@@ -165,36 +173,38 @@ def _started(name: str, words: Sequence[str], folder: Path) -> Started:
         raise BuildError(f"{name} does not start: {error.strerror}") from error
     finally:
         os.close(handle)
-    return Started(child, Path(said))
+    return StartedProgram(child, Path(output))
 
 
-def _check(name: str, one: Started) -> None:
-    """Whether a program that ended did what it should.
+def _check(name: str, program: StartedProgram) -> None:
+    """Check that a program ended successfully.
 
     Raises:
-        BuildError: It failed: with the first lines of what it said.
+        BuildError: It failed; the message has the first lines of its output.
     """
-    code = one.child.returncode
+    code = program.child.returncode
     if code:
-        lines = one.said.read_text(errors="replace").strip().splitlines()
+        lines = program.output.read_text(errors="replace").strip().splitlines()
         ended = f"ended with exit code {code}" if code > 0 else f"was ended by signal {-code}"
         raise BuildError("\n".join([f"{name} {ended}", *lines[:_LINES]]))
 
 
 def cpu() -> str:
-    """What tells this kind of processor from others, its instruction sets among it."""
+    """Return a description of this kind of processor, including its instruction sets."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", 1)[0]
     except OSError:
         first = ""
     lines = [line.partition(":") for line in first.splitlines()]
-    told = [
+    properties = [
         f"{name.strip()}={value.strip()}" for name, _, value in lines if name.strip() in _OF_A_CPU
     ]
-    return "\n".join([platform.system(), platform.machine(), *(told or [platform.processor()])])
+    return "\n".join(
+        [platform.system(), platform.machine(), *(properties or [platform.processor()])]
+    )
 
 
 def lanes() -> int:
-    """How many doubles a vector of this processor holds."""
-    words = set(cpu().replace("=", " ").split())
-    return 8 if "avx512f" in words else 4 if "avx2" in words else 2
+    """Return the number of doubles in a vector register of this processor."""
+    flags = set(cpu().replace("=", " ").split())
+    return 8 if "avx512f" in flags else 4 if "avx2" in flags else 2

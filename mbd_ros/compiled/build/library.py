@@ -74,7 +74,7 @@ def load(source: Source, say: Say = _silent, check: Check = _trusted) -> Library
 
     for again in (False, True):
         try:
-            content = kept(_key(source, compiler), build, say, again=again)
+            content = cached_library(_key(source, compiler), build, say, again=again)
             library = Library(source, content, compiler.name)
         except (OSError, BuildError) as error:
             with private() as folder:
@@ -99,34 +99,34 @@ def _reason(error: OSError | BuildError) -> str:
     return str(error).splitlines()[0]
 
 
-def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
-    """The library of a key in the cache folder, built there if need be.
+def cached_library(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
+    """Return a library from the cache folder, and build it first if it is missing.
 
-    What is loaded are these bytes and not the file, which may change meanwhile.
+    The caller must load these bytes and not the file, which may change in the meantime.
 
     Args:
-        key: Of the library: letters and digits.
-        build: Makes it in the folder that it is given.
-        say: Is told what is waited for.
-        again: Build it even if there is one.
+        key: Key of the library: letters and digits.
+        build: Function that builds the library in a folder.
+        say: Function that receives progress messages.
+        again: Whether to build it even if it exists.
 
     Raises:
-        BuildError: The folder is not to be trusted, or the library cannot be built.
+        BuildError: The folder is not safe, or the library cannot be built.
         OSError: The folder cannot be used.
     """
     folder = cache_folder()
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     _check(folder)
     library = folder / f"{key}.so"
-    found = None if again else _intact(library, key)
-    if found is not None:
-        return found
+    content = None if again else _intact(library, key)
+    if content is not None:
+        return content
     with _lock(folder / f"{key}.lock", say):
-        found = None if again else _intact(library, key)
-        if found is not None:
-            return found
-        for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
-            shutil.rmtree(left, ignore_errors=True)
+        content = None if again else _intact(library, key)
+        if content is not None:
+            return content
+        for unfinished in folder.glob(f"{key}.*.part"):  # of a process that was killed
+            shutil.rmtree(unfinished, ignore_errors=True)
         _remove_unused(folder)
         part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
         try:
@@ -136,28 +136,28 @@ def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
 
 
 def cache_folder() -> Path:
-    """Where libraries are kept; it need not exist.
+    """Return the folder of cached libraries, which need not exist.
 
     Raises:
-        OSError: The user has no home.
+        OSError: The user has no home folder.
     """
     named = os.environ.get("XDG_CACHE_HOME", "")
     home = os.path.expanduser("~")
     if not (named.startswith("/") or home.startswith("/")):
-        raise OSError("no home folder of the user, and no XDG_CACHE_HOME")
+        raise OSError("the user has no home folder; set XDG_CACHE_HOME to an absolute path")
     root = Path(named) if named.startswith("/") else Path(home) / ".cache"
     return root / "mbd_ros" / "compiled"
 
 
 def _check(folder: Path) -> None:
-    """Refuse a folder that is a link, or that somebody else can write to.
+    """Check that a folder is not a link and that only the user can write to it.
 
     Raises:
-        BuildError: It is, or somebody can.
+        BuildError: It is a link, or others can write to it.
     """
-    for own in (folder.parent, folder):
-        if own.is_symlink():
-            raise BuildError(f"{own} is a symbolic link, which is not followed")
+    for path in (folder.parent, folder):
+        if path.is_symlink():
+            raise BuildError(f"{path} is a symbolic link; replace it by a folder")
     status = folder.stat()
     if status.st_uid != os.geteuid():
         raise BuildError(f"{folder} belongs to another user")
@@ -166,7 +166,7 @@ def _check(folder: Path) -> None:
 
 
 def _intact(library: Path, key: str) -> bytes | None:
-    """The library that was put in a place under this key by the user, None without."""
+    """Return the library that the user has stored under a key; None if there is none."""
     try:
         with open_regular(library, follow_links=False) as file:
             status = os.fstat(file.fileno())
@@ -176,10 +176,10 @@ def _intact(library: Path, key: str) -> bytes | None:
     except OSError:
         return None
     others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    found, digest = content[:-_DIGEST], content[-_DIGEST:]
-    if status.st_uid != os.geteuid() or others or digest != _digest(key, found):
+    binary, digest = content[:-_DIGEST], content[-_DIGEST:]
+    if status.st_uid != os.geteuid() or others or digest != _digest(key, binary):
         return None
-    return found
+    return binary
 
 
 def _digest(key: str, content: bytes) -> bytes:
@@ -188,10 +188,10 @@ def _digest(key: str, content: bytes) -> bytes:
 
 @contextmanager
 def _lock(path: Path, say: Say) -> Iterator[None]:
-    """Waits until no other process builds the same; file systems without locks do not wait.
+    """Wait until no other process builds the same library, if the file system has locks.
 
     Raises:
-        OSError: Something else is in the place of the lock, or it cannot be made.
+        OSError: The lock file cannot be created.
     """
     with suppress(FileNotFoundError):
         check_regular(path, follow_links=False)
@@ -200,7 +200,7 @@ def _lock(path: Path, say: Say) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say("another process compiles the same: waiting for it")
+            say("another process compiles the same code: waiting for it")
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError:
             say("the cache folder has no locks: compiling without")
@@ -208,7 +208,7 @@ def _lock(path: Path, say: Say) -> Iterator[None]:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Removes what nobody has loaded for long."""
+    """Remove libraries that have not been loaded for a long time."""
     before = time.time() - _UNUSED
     for path in (*folder.glob("*.so"), *folder.glob("*.lock")):
         with suppress(OSError):
@@ -217,7 +217,7 @@ def _remove_unused(folder: Path) -> None:
 
 
 def _put(built: Path, library: Path, key: str) -> bytes:
-    """Puts a library in its place, whole or not at all, and gives its content."""
+    """Store a library atomically and return its content."""
     content = built.read_bytes()
     with built.open("ab") as file:
         file.write(_digest(key, content))
@@ -229,18 +229,18 @@ def _put(built: Path, library: Path, key: str) -> bytes:
 
 
 def _key(source: Source, compiler: Compiler) -> str:
-    """Another one for all that makes another library: the text holds model, parts and numbers."""
-    told = (_FORMAT, *compiler.words, compiler.identity, *FLAGS, cpu())
-    told = (*told, source.text, *source.units)
-    return hashlib.sha256("\0".join(told).encode()).hexdigest()[:40]
+    """Return a key of everything that affects the library: sources, compiler and processor."""
+    inputs = (_FORMAT, *compiler.command, compiler.identity, *FLAGS, cpu())
+    inputs = (*inputs, source.text, *source.units)
+    return hashlib.sha256("\0".join(inputs).encode()).hexdigest()[:40]
 
 
 @contextmanager
 def private() -> Iterator[Path]:
-    """A folder of this process alone, removed afterwards: what is loaded stays loaded.
+    """Provide a private temporary folder, which is removed afterwards.
 
     Raises:
-        BuildError: There is no place for one, or it cannot be written.
+        BuildError: The folder cannot be created or written.
     """
     try:
         with tempfile.TemporaryDirectory(prefix="mbd_ros_", ignore_cleanup_errors=True) as name:
@@ -254,64 +254,67 @@ class Library:
     """A shared library of compiled functions.
 
     Args:
-        source: What it was compiled from.
-        compiler: What compiled it.
+        source: Source of the library.
+        content: Bytes of the library.
+        compiler: Name of its compiler.
 
     Attributes:
-        seconds: How long the compiler took, now or when the library was kept [s].
-        c: Its other functions, by name; a call lets other threads run.
+        seconds: Duration of the compilation, now or when the library was cached [s].
+        c: All functions of the library by name; a call lets other threads run.
 
     Raises:
         BuildError: It cannot be loaded.
     """
 
     def __init__(self, source: Source, content: bytes, compiler: str) -> None:
-        self.source, self.compiler, self.c = source, compiler, _linked(content)
+        self.source = source
+        self.compiler = compiler
+        self.c = _load(content)
         self.seconds = float(content[-_SECONDS:])
         self._quick = ctypes.PyDLL(self.c._name, handle=self.c._handle)
 
     def function(self, name: str) -> NativeFunction:
-        """A function of the source, with arrays that nobody else writes to.
+        """Return a function of the source, with argument and result arrays of its own.
 
         Args:
-            name: As CasADi calls it.
+            name: Name of the function in the source.
         """
         native = self.entry(f"call_{name}")
         return NativeFunction(native, self.source.signatures[name], self.source.lanes)
 
     def entry(self, name: str) -> ctypes._CFuncPtr:
-        """What takes one address and returns nothing, while no other thread runs."""
+        """Return a C function that takes one address; a call holds the interpreter lock."""
         native = self._quick[name]
         native.argtypes, native.restype = (ctypes.c_void_p,), None
         return native
 
 
-def _linked(content: bytes) -> ctypes.CDLL:
-    """A library in this process, from a place that nobody else can change."""
+def _load(content: bytes) -> ctypes.CDLL:
+    """Load a library from a place that no other user can change."""
     places = [_in_memory, _in_a_file] if hasattr(os, "memfd_create") else [_in_a_file]
     for place in places:
         with place(content) as path:
             try:
                 return ctypes.CDLL(path)
-            except OSError as error:  # some systems execute nothing that is only in memory
+            except OSError as error:  # some systems do not execute files in memory
                 why = error
     raise BuildError(f"the compiled library cannot be loaded: {why}")
 
 
 @contextmanager
 def _in_memory(content: bytes) -> Iterator[str]:
-    """Path of a file without a place on a disk."""
+    """Provide the path of a file in memory."""
     file = os.memfd_create("mbd_ros")
     try:
         with open(file, "wb", closefd=False) as written:
             written.write(content)
-        yield f"/proc/self/fd{_another()}/{file}"
+        yield f"/proc/self/fd{_unique_separator()}/{file}"
     finally:
         os.close(file)
 
 
-def _another() -> str:
-    """Another way of writing / each time: the linker knows by its path what is loaded already."""
+def _unique_separator() -> str:
+    """Return a new spelling of / each time, since the linker identifies files by path."""
     return "".join("//." if bit == "1" else "/." for bit in f"{next(_loaded):b}")
 
 
@@ -324,13 +327,11 @@ def _in_a_file(content: bytes) -> Iterator[str]:
 
 
 class NativeFunction:
-    """A compiled function on arrays of its own.
-
-    Write into `arguments`, call, read `results`.
+    """A compiled function with arrays of its own: write `arguments`, call it, read `results`.
 
     Attributes:
-        arguments: One array an argument, shape (size,); (size, lanes) where reals are vectors.
-        results: The same of the results.
+        arguments: One array for each argument, shape (size,), or (size, lanes) in lanes.
+        results: One array for each result, shape (size,), or (size, lanes) in lanes.
     """
 
     def __init__(self, function: ctypes._CFuncPtr, signature: Signature, lanes: int) -> None:
@@ -343,13 +344,13 @@ class NativeFunction:
         self._function = function
 
     def __call__(self) -> None:
-        """Computes the results."""
+        """Compute the results."""
         self._function(self._address)
 
 
 def aligned(size: int, lanes: int = 1) -> Array:
-    """Zeros, shape (size,), or (size, lanes) where each is a vector of several numbers."""
-    room = np.zeros(size * lanes + _ALIGNED // 8)
-    first = -room.ctypes.data % _ALIGNED // 8
-    values = room[first : first + size * lanes]
+    """Return aligned zeros, shape (size,), or (size, lanes) for several lanes."""
+    buffer = np.zeros(size * lanes + _ALIGNED // 8)
+    first = -buffer.ctypes.data % _ALIGNED // 8
+    values = buffer[first : first + size * lanes]
     return values if lanes == 1 else values.reshape(size, lanes)

@@ -1,4 +1,4 @@
-"""Compiled equations of motion beside those of the plain tier."""
+"""Verification of compiled equations of motion against those of the plain tier."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,48 +14,51 @@ from mbd_ros.core.state import NONE, Array, Mode, State
 from mbd_ros.errors import MbdError
 
 _STATES, _SEED = 3, 20
-_SPREAD = 0.3  # of the states around the start [rad, m, rad/s, m/s]
-_CLOSE = 1.0e-6  # of the largest; wrong code is wrong by more, rounding in any order by less
-_SOUND = 1.0e-4  # health of rows below which two exact methods may differ by more
+_SPREAD = 0.3  # of random states [rad, m, rad/s, m/s]
+_CLOSE = 1.0e-6  # accepted relative difference: above rounding, far below the effect of wrong code
+_SOUND = 1.0e-4  # health of rows below which two exact methods can differ by more
 
 
 def verify(library: Library, traced: Traced, system: System, p: Array = NONE) -> None:
-    """Compares accelerations and all other functions at random states around all joints at 0.
+    """Compare compiled functions with their references at random states around the neutral one.
 
-    Accelerations are held against the plain tier, every function against its expressions, there
-    with other parameters too. States at which the plain tier has no solution say nothing.
+    Accelerations are compared with the plain tier, and every function with its expressions, also
+    for other parameters. States at which the plain tier has no solution are skipped.
 
     Args:
-        library: Has the function `accelerate`.
-        traced: What it was compiled from.
-        p: Values of the parameters that the system was built with, shape (np,).
+        library: Compiled functions, `accelerate` among them.
+        traced: Symbolic form from which they were compiled.
+        system: The system.
+        p: Values of the parameters of the system, shape (np,).
 
     Raises:
-        BuildError: They differ; names the function.
+        BuildError: A function differs; the message names it.
     """
     rng = np.random.default_rng(_SEED)
     for _ in range(_STATES):
-        mode = () if system.exact is None else _mode(system.exact, rng)
-        y = some_state(system, rng)._replace(mode=mode)
-        held, u = some_inputs(system, y.t, rng)
+        mode = () if system.event_rows is None else _mode(system.event_rows, rng)
+        y = random_state(system, rng)._replace(mode=mode)
+        plain_u, u = random_inputs(system, y.t, rng)
         values = y.t, y.q, y.v, y.z, u, np.append(p, mode)
         a, zdot, health = _native(library, "accelerate", values)[:3]
         if not (health > _SOUND).all():
             continue
         try:
-            wanted = plain_rates(system, y, held)
+            expected = plain_rates(system, y, plain_u)
         except MbdError:
             continue
-        _refuse(np.hstack((a, zdot)), wanted, "accelerations", f"those of the tier {traced.tier}")
-        given = dict(zip("tqvzu", values[:5], strict=True))
-        given["p"] = np.append(p * rng.uniform(0.9, 1.1, len(p)), mode)
+        _check_equal(
+            np.hstack((a, zdot)), expected, "accelerations", f"those of the tier {traced.tier}"
+        )
+        arguments = dict(zip("tqvzu", values[:5], strict=True))
+        arguments["p"] = np.append(p * rng.uniform(0.9, 1.1, len(p)), mode)
         for name in library.source.signatures:
             if name != SEARCH:
-                _verify_code(library, traced.function(name), given, rng)
+                _verify_code(library, traced.function(name), arguments, rng)
 
 
 def _native(library: Library, name: str, values: Sequence[Any]) -> list[Array]:
-    """Results of a function, shapes (lanes, size)."""
+    """Call a compiled function and return its results, shapes (lanes, size)."""
     native = library.function(name)
     for argument, value in zip(native.arguments, values, strict=True):
         argument.T[...] = value
@@ -64,38 +67,43 @@ def _native(library: Library, name: str, values: Sequence[Any]) -> list[Array]:
 
 
 def _verify_code(
-    library: Library, function: Any, given: Mapping[str, Any], rng: np.random.Generator
+    library: Library, function: Any, arguments: Mapping[str, Any], rng: np.random.Generator
 ) -> None:
-    """Holds the code of one function against its expressions, as CasADi evaluates them.
+    """Compare the code of a function with its expressions, evaluated by CasADi.
 
-    Arguments that are not given, steps and multipliers, are random.
+    Arguments without a value, such as steps and multipliers, are random.
     """
     name, values = function.name(), []
     for i, letter in enumerate(ARGUMENTS[name]):
-        some = rng.normal(0.0, _SPREAD, function.size1_in(i))
-        values.append(given.get(letter, some))
+        default = rng.normal(0.0, _SPREAD, function.size1_in(i))
+        values.append(arguments.get(letter, default))
     native = _native(library, name, values)
-    if function.n_in() > len(values):  # paths that code searches, perhaps more than it asks for
-        paths = _native(library, SEARCH, [given[letter] for letter in ARGUMENTS["path_places"]])[0]
+    if function.n_in() > len(
+        values
+    ):  # results of the path search, of which the function may use a part
+        places = [arguments[letter] for letter in ARGUMENTS["path_places"]]
+        paths = _native(library, SEARCH, places)[0]
         values.append(paths[0, : function.size1_in(len(values))])
-    for found, expected in zip(native, function.call(values), strict=True):
-        _refuse(found, np.array(expected).ravel("F"), f"values of '{name}'", "its expressions")
+    for result, expected in zip(native, function.call(values), strict=True):
+        _check_equal(
+            result, np.array(expected).ravel("F"), f"values of '{name}'", "its expressions"
+        )
 
 
-def _refuse(found: Array, wanted: Array, what: str, beside: str) -> None:
-    """Refuse numbers that differ from those wanted where these are finite.
+def _check_equal(result: Array, expected: Array, name: str, reference: str) -> None:
+    """Check that results equal the expected values where these are finite.
 
     Raises:
-        BuildError: They do.
+        BuildError: They differ.
     """
-    known = np.isfinite(wanted)
-    apart = np.abs(found - wanted)[:, known].max(initial=0.0)
-    if not apart <= _CLOSE * (1.0 + np.abs(wanted[known]).max(initial=0.0)):
-        raise BuildError(f"compiled {what} differ by {apart:.3g} from {beside}")
+    known = np.isfinite(expected)
+    difference = np.abs(result - expected)[:, known].max(initial=0.0)
+    if not difference <= _CLOSE * (1.0 + np.abs(expected[known]).max(initial=0.0)):
+        raise BuildError(f"compiled {name} differ by {difference:.3g} from {reference}")
 
 
-def some_state(system: System, rng: np.random.Generator) -> State:
-    """A state of what is integrated."""
+def random_state(system: System, rng: np.random.Generator) -> State:
+    """Return a random state of the integrated coordinates."""
     robot, internals = system.robot, system.internals
     z = internals.inside(np.nan_to_num(internals.initial))
     y = system.reduce(State(0.0, robot.neutral(), np.zeros(system.model.nv), z))
@@ -104,27 +112,27 @@ def some_state(system: System, rng: np.random.Generator) -> State:
 
 
 def _mode(exact: Any, rng: np.random.Generator) -> Mode:
-    """Any mode in which rows without an upper bound are not at it, contacts in all of theirs."""
+    """Return a random mode: rows only at finite bounds, contacts in any of their modes."""
     upper = exact.solver.constraints.upper.tolist()
-    ways = zip(rng.integers(-1, 2, len(upper)).tolist(), upper, strict=True)
-    mode = [abs(way) if np.isinf(bound) else way for way, bound in ways]
+    entries = zip(rng.integers(-1, 2, len(upper)).tolist(), upper, strict=True)
+    mode = [abs(entry) if np.isinf(bound) else entry for entry, bound in entries]
     for i in () if exact.contacts is None else exact.contacts.normals:
         names = ((mode[i],) * 2, (mode[i],) * 2, (3, -1), (-15, 5), (2**51 + 1, 2**52 + 1))
         mode[i + 1 : i + 3] = names[0 if mode[i] else rng.integers(len(names))]
     return tuple(mode)
 
 
-def some_inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Inputs as the plain tier takes them, and the same completed by sources."""
+def random_inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return random inputs for the plain tier, and these inputs completed by sources."""
     sources = system.loads.sources
-    held = sources.held(t)
-    if held is None:
-        held = system.loads.idle + rng.uniform(0.0, 0.5, len(system.loads.idle))
-    return held, sources.complete(held, t)
+    u = sources.hold(t)
+    if u is None:
+        u = system.loads.idle + rng.uniform(0.0, 0.5, len(system.loads.idle))
+    return u, sources.complete(u, t)
 
 
 def plain_rates(system: System, y: State, u: Array) -> Array:
-    """Accelerations, then rates of internal states, shape (nv + nz,)."""
+    """Return accelerations, then rates of internal states, shape (nv + nz,)."""
     a, zdot = np.zeros(system.nv), np.zeros(len(y.z))
     accelerate = system.accelerator(y.mode)
     if len(y.z):

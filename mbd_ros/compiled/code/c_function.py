@@ -86,9 +86,9 @@ def c_function(code: Instructions) -> CFunction:
     """
     early = turns(code)
     cuts = cut(code, early)
-    words = [f"const real *restrict i{k}" for k in range(len(code.arguments))]
-    words += [f"real *restrict o{k}" for k in range(len(code.results))]
-    pointers = ", ".join([*words, "real *restrict work"])
+    parameters = [f"const real *restrict i{k}" for k in range(len(code.arguments))]
+    parameters += [f"real *restrict o{k}" for k in range(len(code.results))]
+    pointers = ", ".join([*parameters, "real *restrict work"])
     used = [k for k, chunk in enumerate(cuts.chunks) if chunk or (k == 0 and early.angles)]
     heads = [f"void {code.name}_{k}({pointers})" for k in used]
     bodies = []
@@ -98,10 +98,10 @@ def c_function(code: Instructions) -> CFunction:
             lines += _sines(code.values, early, cuts.work - 2 * early.room)
         bodies.append("".join(lines))
     chunks = [f"{head} {{\n{body}}}\n" for head, body in zip(heads, bodies, strict=True)]
-    names = [word.split("restrict ")[1] for word in words]
+    names = [word.split("restrict ")[1] for word in parameters]
     calls = [f"  {code.name}_{k}({', '.join([*names, 'work'])});\n" for k in used]
     body = "".join([*calls, *_plain_outputs(code, cuts)])
-    at = ", ".join(f"at[{k}]" for k in range(len(words) + 1))
+    at = ", ".join(f"at[{k}]" for k in range(len(parameters) + 1))
     whole = f"static void {code.name}({pointers}) {{\n{body}}}\n"
     whole += f"EXPORT void call_{code.name}(void *const *at) {{ {code.name}({at}); }}\n"
     return CFunction(chunks, [f"{head};\n" for head in heads], whole, cuts.work)
@@ -156,14 +156,14 @@ class Value(NamedTuple):
 
 def _made_of(values: list[Value], ends: list[int]) -> list[int]:
     """Computed values that others are made of, themselves among them, in order."""
-    found: set[int] = set()
+    needed: set[int] = set()
     waiting = list(ends)
     while waiting:
         number = waiting.pop()
-        if number not in found and values[number].computed:
-            found.add(number)
+        if number not in needed and values[number].computed:
+            needed.add(number)
             waiting += values[number].operands
-    return sorted(found)
+    return sorted(needed)
 
 
 def cut(code: Instructions, turns: Turns) -> Chunks:
@@ -251,7 +251,7 @@ def _statements(code: Instructions, cuts: Chunks, chunk: list[int]) -> Iterator[
 
 
 def _name(values: list[Value], number: int) -> str:
-    """What stands for a value in C."""
+    """Return the C expression of a value."""
     value = values[number]
     if value.constant:
         return f"R({_NAMED.get(value.constant, value.constant)})"
@@ -394,7 +394,7 @@ def _numbered(function: ca.Function) -> tuple[list[Value], list[Output]]:
     """Every different value once, and what is written of them."""
     values: list[Value] = []
     known: dict[Value, int] = {}
-    held: dict[int, int] = {}  # place in CasADi's work vector -> value
+    value_at: dict[int, int] = {}  # place in CasADi's work vector -> value
     outputs: list[Output] = []
     read = [function.sparsity_in(k).find() for k in range(function.n_in())]
     written = [function.sparsity_out(k).find() for k in range(function.n_out())]
@@ -403,19 +403,19 @@ def _numbered(function: ca.Function) -> tuple[list[Value], list[Output]]:
         places = function.instruction_input(k)
         if code == ca.OP_OUTPUT:
             result, nonzero = into
-            outputs.append(Output(result, written[result][nonzero], held[places[0]]))
+            outputs.append(Output(result, written[result][nonzero], value_at[places[0]]))
             continue
         if code == ca.OP_CONST:
             value = Value(code, constant=float(function.instruction_constant(k)).hex())
         elif code == ca.OP_INPUT:
             value = Value(code, (places[0], read[places[0]][places[1]]))
         else:
-            operands = tuple(held[place] for place in places)
+            operands = tuple(value_at[place] for place in places)
             value = Value(code, tuple(sorted(operands)) if code in COMMUTE else operands)
         if value not in known:
             known[value] = len(values)
             values.append(value)
-        held[into[0]] = known[value]
+        value_at[into[0]] = known[value]
     return values, outputs
 
 
@@ -428,7 +428,7 @@ class Output(NamedTuple):
 
 
 class Instructions(NamedTuple):
-    """What a function computes.
+    """Values that a function computes.
 
     Attributes:
         name: Of the function.

@@ -90,26 +90,27 @@ def _parted(chunks: list[str], count: int) -> list[list[str]]:
 
 
 def emitted(traced: Traced, names: Sequence[str]) -> Source:
-    """C source of functions, with the search of paths that wrap where there are some.
+    """Return the C source of functions, including the search of wrapping paths if there are any.
 
     Args:
-        names: Of its functions.
+        traced: Symbolic form of a system.
+        names: Names of the functions.
 
     Raises:
-        CodeError: As for `emit`.
+        CodeError: A function cannot be written in C, see `emit`.
     """
     functions = [traced.function(name) for name in names]
     if not traced.searched:
         return emit(functions)
     places = traced.function("path_places")
-    asking = [function for function in functions if _asks(function)]
-    given = [_inner(one) if _asks(one) else one for one in functions]
-    source = emit([*given, places])
+    asking = [function for function in functions if _needs_paths(function)]
+    inner = [_inner(function) if _needs_paths(function) else function for function in functions]
+    source = emit([*inner, places])
     return _searching(source, asking, traced.searched)
 
 
-def _asks(function: Any) -> bool:
-    """Whether paths that are searched are an argument."""
+def _needs_paths(function: Any) -> bool:
+    """Return whether a function takes searched paths as an argument."""
     return bool(function.n_in() > len(ARGUMENTS[function.name()]))
 
 
@@ -137,7 +138,7 @@ def _searching(source: Source, asking: Sequence[Any], searched: SearchedPaths) -
 
 def _tables(searched: SearchedPaths) -> str:
     """Surfaces, ranges and paths, and the code that searches."""
-    paths = [one.path for one in searched]
+    paths = [entry.path for entry in searched]
     surfaces = [c_row(row_of(wrap.surface)) for path in paths for wrap in path.wraps]
     ends = [f"{{{i}, {r.first}, {r.last}}}" for i, r in enumerate(_reaches(paths))]
     first = [0, *accumulate(len(path.wraps) for path in paths)]
@@ -166,20 +167,20 @@ def _reaches(paths: Sequence[Any]) -> list[Any]:
 
 
 def _calling(name: str, signature: Signature) -> str:
-    """A function that searches and then calls the one that knows the paths."""
-    given = [f"i{k}" for k in range(len(signature.arguments))]
+    """Return a C function that searches paths and then calls the function that takes them."""
+    names = [f"i{k}" for k in range(len(signature.arguments))]
     results = [f"o{k}" for k in range(len(signature.results))]
-    words = [*(f"const real *restrict {one}" for one in given)]
-    words += [f"real *restrict {one}" for one in (*results, _WORK)]
-    t, q, p = (given[ARGUMENTS[name].index(letter)] for letter in ARGUMENTS["path_places"])
+    parameters = [*(f"const real *restrict {argument}" for argument in names)]
+    parameters += [f"real *restrict {result}" for result in (*results, _WORK)]
+    t, q, p = (names[ARGUMENTS[name].index(letter)] for letter in ARGUMENTS["path_places"])
     lines = [
         f"\n#define {name}_WORK {signature.work}\n",
-        f"static void {name}({', '.join(words)}) {{\n  real paths[WRAP_NUMBERS];\n",
+        f"static void {name}({', '.join(parameters)}) {{\n  real paths[WRAP_NUMBERS];\n",
         f"  search_paths({t}, {q}, {p}, paths, work);\n",
-        f"  {name}_of_paths({', '.join([*given, 'paths', *results, _WORK])});\n",
+        f"  {name}_of_paths({', '.join([*names, 'paths', *results, _WORK])});\n",
     ]
-    if name == "accelerate":  # where a path is not found, the plain tier has the say
+    if name == "accelerate":  # without a path, the plain tier takes over
         lines.append("  if (!are_found(paths)) o2[0] = -1.0;\n")
-    at = ", ".join(f"at[{k}]" for k in range(len(words)))
+    at = ", ".join(f"at[{k}]" for k in range(len(parameters)))
     lines.append(f"}}\nEXPORT void call_{name}(void *const *at) {{ {name}({at}); }}\n")
     return "".join(lines)

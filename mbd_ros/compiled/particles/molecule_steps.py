@@ -28,7 +28,7 @@ def is_compiled(kind: Molecules) -> bool:
 
 
 class CompiledTriangles(KindSteps):
-    """As `KindSteps`, of rigid triangles.
+    """Steps of rigid triangles in native code, see `KindSteps`.
 
     Args:
         tolerance: Not needed: rows are closed to rounding.

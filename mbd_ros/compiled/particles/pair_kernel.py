@@ -22,7 +22,7 @@ class _Model(ctypes.Structure):
 
 
 class CompiledKernel:
-    """As `PlainKernel`, in native code.
+    """Pair forces like those of `PlainKernel`, in native code.
 
     Args:
         model: What pairs exert on one another.

@@ -23,27 +23,27 @@ from mbd_ros.methods.integration.adapted_steps import TurnedSteps
 from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.methods.simulation.checked_steps import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import event_sources, prepare_stepper
 
 Say = Callable[[str], None]
 
 
 def silent(line: str) -> None:
-    """Nobody is told."""
+    """Discard a progress message."""
 
 
 class NativeMethod(Integrator):
-    """A method that is another one with native code for its steps, or for its equations.
+    """Integration method that uses native code for the steps or the equations of another method.
 
     Args:
-        stabilization: What keeps the rows.
-        say: Is told what takes time.
-        kept: What was built for a system of the same parts, and takes what is built here; another
-            dict for every system.
+        method: The other method.
+        stabilization: Correction of constraint drift.
+        say: Function that receives progress messages.
+        cache: Compiled code of a system by options, which is extended here; one dict a system.
 
     Attributes:
-        traced: The symbolic form of the system that was prepared last.
-        library: What it was compiled to.
+        traced: Symbolic form of the system that was prepared last.
+        library: Compiled library of that system.
     """
 
     moves_internal = True
@@ -53,21 +53,21 @@ class NativeMethod(Integrator):
         method: Integrator,
         stabilization: Stabilization,
         say: Say = silent,
-        kept: dict[Any, Any] | None = None,
+        cache: dict[Any, Any] | None = None,
     ) -> None:
         self.method, self._stabilization, self._say = method, stabilization, say
-        self._kept = {} if kept is None else kept
+        self._cache = {} if cache is None else cache
         self.order, self.stable = method.order, method.stable
         self.traced: Traced | None = None
         self.library: Library | None = None
 
     @property
     def title(self) -> str:
-        """That of the method, and that it is compiled."""
+        """Title of the method, marked as compiled."""
         return f"compiled {self.method.title}"
 
     def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
+        """Return the largest factor by which a step multiplies a linear motion."""
         return self.method.growth(motion, dt)
 
 
@@ -85,24 +85,24 @@ class CompiledMethod(NativeMethod):
 
     @property
     def finds_surfaces(self) -> bool:  # type: ignore[override]
-        """Whether the method finds surfaces across which forces jump."""
+        """Whether the method locates switching surfaces of forces."""
         return self.method.finds_surfaces
 
     def refuse(self, system: Any) -> None:
-        """Refuse what native runs do not do.
+        """Check that native runs support a system.
 
         Raises:
-            Untraceable: Names it.
+            Untraceable: They do not; the message names the reason.
         """
         if not self.method.native:
             name = type_name(type(self.method))
             raise Untraceable(f"integrator {name} takes no compiled steps")
-        rows, guards = happenings(system)
+        rows, guards = event_sources(system)
         if guards or (rows and not self.method.event_driven):
             raise Untraceable(f"steps stop at events of {', '.join((*rows, *guards))}")
         stabilization = type(self._stabilization)
         corrects = stabilization.correct is not Stabilization.correct
-        if system.held.rows and corrects and not self._stabilization.projects:
+        if system.bilateral.rows and corrects and not self._stabilization.projects:
             raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
         for at, source in system.loads.sources.smooth:
             if source.pieces() is None:
@@ -112,18 +112,18 @@ class CompiledMethod(NativeMethod):
                 )
 
     def prepare(self, system: Any, dt: float) -> NativeStepper:
-        """The stepper for one system and one step size [s].
+        """Prepare the stepper for a system and a step size [s].
 
         Raises:
-            Untraceable: Something in the system or the method has no compiled form; names it.
-            BuildError: It cannot be compiled.
-            ModelError: The method does not serve the system.
+            Untraceable: A part of the system or the method has no compiled form.
+            BuildError: The code cannot be compiled.
+            ModelError: The method does not support the system.
         """
         self.refuse(system)
-        plain, form = prepared(self.method, system, dt), None
+        plain, form = prepare_stepper(self.method, system, dt), None
         if isinstance(system, InWorldAxes):
             plain, form = TurnedSteps(system, plain), system
-        self.traced, sizes, self.library = built = self._built(system, dt)
+        self.traced, sizes, self.library = built = self._build(system, dt)
         pairs = ((at, source.pieces()) for at, source in system.loads.sources.smooth)
         smooth = [(at, pieces) for at, pieces in pairs if pieces is not None]
         run = NativeRun(
@@ -132,27 +132,27 @@ class CompiledMethod(NativeMethod):
             smooth=smooth,
             form=form,
         )
-        given = run, plain, self._corrects(system), system.loads.idle
+        arguments = run, plain, self._correction(system), system.loads.idle
         if not sizes.modes:
-            return NativeStepper(*given)
-        gaps = [i for i, reach in enumerate(system.exact.reach) if reach is Reach.GAP]
-        return ModeStepper(*given, self.traced.keys, gaps)
+            return NativeStepper(*arguments)
+        gaps = [i for i, reach in enumerate(system.event_rows.reach) if reach is Reach.GAP]
+        return ModeStepper(*arguments, self.traced.keys, gaps)
 
-    def _built(self, system: Any, dt: float) -> Built:
-        """The native code of a system, made once."""
+    def _build(self, system: Any, dt: float) -> Built:
+        """Return the native code of a system from the cache, and build it first if necessary."""
         key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
-        if key not in self._kept:
+        if key not in self._cache:
             in_world = isinstance(system, InWorldAxes)
-            own, mode = system.system if in_world else system, None if system.exact else ()
-            traced = trace(own, mode=mode, in_world=in_world)
+            local, mode = system.system if in_world else system, None if system.event_rows else ()
+            traced = trace(local, mode=mode, in_world=in_world)
             sizes = self.sizes(system, traced)
             source = with_integrators(emitted(traced, sizes.functions), sizes)
-            library = load(source, self._say, lambda found: verify(found, traced, system))
-            self._kept[key] = Built(traced, sizes, library)
-        return self._kept[key]
+            library = load(source, self._say, lambda built: verify(built, traced, system))
+            self._cache[key] = Built(traced, sizes, library)
+        return self._cache[key]
 
     def sizes(self, system: Any, traced: Traced) -> Sizes:
-        """What native steps are compiled for."""
+        """Return the sizes and options for which native steps are compiled."""
         is_projected = self._is_projected(system)
         rows = traced.mg, traced.mh
         return Sizes(
@@ -166,21 +166,21 @@ class CompiledMethod(NativeMethod):
         )
 
     def _is_projected(self, system: Any) -> bool:
-        is_held = bool(system.held.rows) and not self.method.keeps_constraints
-        return is_held and self._stabilization.projects
+        needs_correction = bool(system.bilateral.rows) and not self.method.keeps_constraints
+        return needs_correction and self._stabilization.projects
 
-    def _corrects(self, system: Any) -> Any:
+    def _correction(self, system: Any) -> Any:
         if not self._is_projected(system):
             return lambda y: y
-        own = system.system if isinstance(system, InWorldAxes) else system
-        return lambda y: self._stabilization.correct(own, y)
+        local = system.system if isinstance(system, InWorldAxes) else system
+        return lambda y: self._stabilization.correct(local, y)
 
 
 def _modes(system: Any, traced: Traced) -> dict[str, int]:
-    """What a source has to know of unilateral rows."""
+    """Return the sizes that concern unilateral rows."""
     if not traced.switches:
         return {}
-    reach = system.exact.reach
+    reach = system.event_rows.reach
     counts = {kind: reach.count(kind) for kind in Reach}
     slips, demands = counts[Reach.SLIP], counts[Reach.DEMAND]
     return {
@@ -198,9 +198,9 @@ class Built(NamedTuple):
     """A system in native code.
 
     Attributes:
-        traced: Its symbolic form.
-        sizes: What the integrators are compiled for.
-        library: What it was compiled to.
+        traced: Symbolic form of the system.
+        sizes: Sizes and options for which the integrators are compiled.
+        library: Compiled library.
     """
 
     traced: Traced

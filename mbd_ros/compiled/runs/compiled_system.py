@@ -13,19 +13,23 @@ from mbd_ros.core.state import NONE, Array, Mode, State
 
 
 class CompiledSystem:
-    """Accelerations, derivatives and what lacks for the equation of motion, in native code.
+    """System with accelerations, derivatives and the residual force in native code.
 
-    Whatever else is asked of it is that of the system. So are states at which rows are too near to
-    dependent for a factor without pivoting, and those with a mode.
+    Everything else is delegated to the plain system, as are states with a mode and states at which
+    rows are too close to dependent for a factorization without pivoting.
 
     Args:
-        traced: Its symbolic form.
-        library: What `ImplicitMethod.asks` of it was compiled to.
+        system: The plain system.
+        traced: Symbolic form of the system.
+        library: Library of the compiled functions.
         p: Values of the parameters, shape (np,).
     """
 
     def __init__(self, system: System, traced: Traced, library: Library, p: Array = NONE) -> None:
-        self.system, self._library, self._traced, self._p = system, library, traced, p
+        self.system = system
+        self._library = library
+        self._traced = traced
+        self._p = p
         self._native = self._function("accelerate")
         self._plain = system.accelerator()
         self._has_internals, self._has_inputs = bool(traced.nz), bool(traced.nu)
@@ -37,45 +41,45 @@ class CompiledSystem:
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion were asked."""
+        """Number of evaluations of the equations of motion."""
         return self.system.evaluations + self.calls
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y'' in a mode, shape (nv,)."""
+        """Return the function of t, q, v, u that writes y'' in a mode, shape (nv,)."""
         if mode:
             return self.system.accelerator(mode)
         return self._accelerate_with_rates if self._has_internals else self._accelerate
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'' to rounding; as `System.derivatives`."""
+        """Return the exact derivatives of y'', see `System.derivatives`."""
         if y.mode or not self._is_sound(y.t, y.q, y.v, y.z, u):
             return self.system.derivatives(y, u, inputs=inputs)
         by_q, by_v, by_z, by_u, by_p = self._tables(y, u)
         for at, _ in self.system.loads.sources.smooth:
-            by_u[:, at] = 0.0  # these are given by sources, not by u
+            by_u[:, at] = 0.0  # sources determine these inputs, not u
         if not inputs:
             by_u = by_u[:, :0]
         n = self.system.nv
         parts = [
-            Derivatives(*(one[at] for one in (by_q, by_v, by_z, by_u)), p=by_p[at])
+            Derivatives(*(table[at] for table in (by_q, by_v, by_z, by_u)), p=by_p[at])
             for at in (slice(n), slice(n, None))
         ]
         return parts[0]._replace(rates=parts[1] if self._has_internals else None)
 
-    def balance(self, whole: Any) -> CompiledBalance:
-        """The residual force of this system, or of it with internal states."""
+    def balance(self, extended: Any) -> CompiledBalance:
+        """Return the residual force of this system, or of its form with internal states."""
         names = "balance", "balance_slopes"
         force, slopes = (self._function(name) for name in names)
-        return CompiledBalance(self, force, slopes, whole.nv)
+        return CompiledBalance(self, force, slopes, extended.nv)
 
     def inputs(self, t: float, u: Array | None) -> Array:
-        """All inputs at a time, shape (nu,)."""
+        """Return all inputs at a time, shape (nu,)."""
         if not self._has_inputs:
             return NONE
         return self.system.loads.inputs(State(t, NONE, NONE), u)
 
     def with_loads(self, loads: Any) -> System:
-        """The same robot and rows for other loads, not compiled."""
+        """Return a plain system with the same robot and rows and other loads."""
         return self.system.with_loads(loads)
 
     def _function(self, name: str) -> NativeFunction:
@@ -84,20 +88,21 @@ class CompiledSystem:
         return native
 
     def _tables(self, y: State, u: Array | None) -> list[Array]:
-        """Slopes of accelerations and rates by q, v, z, u and p."""
+        """Return derivatives of accelerations and rates with respect to q, v, z, u and p."""
         if self._slopes is None:
             self._slopes = self._function("derivatives")
-        native, of = self._slopes, self._traced
+        native, sizes = self._slopes, self._traced
         values = y.t, y.q, y.v, y.z, self.inputs(y.t, u)
         for argument, value in zip(native.arguments[:5], values, strict=True):
             argument[...] = value
         native()
         self.calls += 1
-        rows, widths = of.nv + of.nz, (of.nv, of.nv, of.nz, of.nu, of.np)
-        return [_table(one, rows, m) for one, m in zip(native.results, widths, strict=True)]
+        rows = sizes.nv + sizes.nz
+        widths = sizes.nv, sizes.nv, sizes.nz, sizes.nu, sizes.np
+        return [_table(values, rows, m) for values, m in zip(native.results, widths, strict=True)]
 
     def _is_sound(self, t: float, q: Array, v: Array, z: Array, u: Array | None) -> bool:
-        """Whether the native function has computed accelerations at a state."""
+        """Evaluate the native function, and return whether its accelerations are reliable."""
         native = self._native
         in_t, in_q, in_v, in_z, in_u, _ = native.arguments
         in_t[0], in_q[...], in_v[...] = t, q, v
@@ -125,17 +130,17 @@ class CompiledSystem:
 
 
 def _table(values: Array, rows: int, columns: int) -> Array:
-    """A new matrix from the columns that a native function has written one after the other."""
+    """Return a new matrix from consecutive columns."""
     return np.array(values[: rows * columns].reshape(columns, rows).T)
 
 
 class CompiledBalance:
-    """Residual force of the equation of motion and its slopes, as `linearization.Balance`.
+    """Residual force of the equation of motion with its derivatives, like `linearization.Balance`.
 
     Args:
         force: The native function `balance`.
         slopes: The native function `balance_slopes`.
-        size: nv, or nv + nz where internal states stand beside velocities.
+        size: nv, or nv + nz if internal states extend the velocities.
     """
 
     def __init__(
@@ -145,7 +150,7 @@ class CompiledBalance:
         self._nq, self._nv, self._size = system.system.nq, system.system.nv, size
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
-        """The f, shape (nv,)."""
+        """Return the residual force, shape (nv,)."""
         self._call(self._force, t, q, v, u, a, lam)
         force, rates = self._force.results
         if self._size == self._nv:
@@ -155,7 +160,7 @@ class CompiledBalance:
     def slopes(
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array]:
-        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
+        """Return its derivatives by tangent steps of q and by v, shape (nv, nv) each."""
         self._call(self._slopes, t, q, v, u, a, lam)
         n, size = self._nv, self._size
         by_q, by_v = np.zeros((2, size, size))

@@ -39,7 +39,7 @@ class EventStepper(EventSteps, BlockStepper):
         self._has_clearance = False  # native code looks after every step
         self._is_behind = False  # the native state is behind a step that is to be searched
         self._is_new = False  # the native state is newer than the last one known here
-        self.stride = self._strides
+        self.can_stride = True
 
     @property
     def evaluations(self) -> int:
@@ -57,7 +57,7 @@ class EventStepper(EventSteps, BlockStepper):
         return self._run.is_within
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         return self._run.steps + self._native.handed_over
 
@@ -68,17 +68,16 @@ class EventStepper(EventSteps, BlockStepper):
 
     @property
     def plain_steps(self) -> int:
-        """As `BlockStepper.plain_steps`; others were native ones that Python has searched."""
+        """Number of plain steps; the others were native ones that Python has searched."""
         return self._native.integrated_plainly
 
     @property
     def state(self) -> State:
-        """What is integrated, before a step that is to be searched."""
+        """Return the integrated state before a step that is to be searched."""
         if self._is_new:
             self._is_new = False
-            mode = self.field.mode
             if self._is_behind:
-                self._last = self._run.began()._replace(mode=mode)
+                self._last = self._run.began()._replace(mode=self.mode)
             else:
                 self._last = self._native.newest_state()
         assert self._last is not None
@@ -91,23 +90,24 @@ class EventStepper(EventSteps, BlockStepper):
         self._native.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+    def samples(self, times: Any, inputs: HeldTable, steps: int, most: int) -> SampleBlock:
         """The samples after the newest one."""
         if self.is_within:
             before = self._within_plain_step(times, most)
             if len(before) == most:
                 return SampleBlock(before, 0, False)
-            rows, _ = self._run.samples(times, held, 0, most - len(before))
+            rows, _ = self._run.samples(times, inputs, 0, most - len(before))
             return SampleBlock(np.concatenate((before, rows)), self._run.interval, False)
-        if not self._is_ready(self.state, held.values[0]):
+        if not self._is_ready(self.state, inputs.values[0]):
             return SampleBlock(np.zeros((0, self._run.row)), 0, True)
-        if self.field.on or self.field.drives:  # which inputs that jump decide anew
-            held = HeldTable(*(column[:1] for column in held))
+        if self.field.active(self.mode) or self.field.drives(self.mode):
+            # inputs that jump decide the mode again
+            inputs = HeldTable(*(column[:1] for column in inputs))
         self._native.enter(self.state)
-        rows, status = self._run.samples(times, held, steps, most)
+        rows, status = self._run.samples(times, inputs, steps, most)
         self._came_back(status)
-        last = min(self._run.interval, len(held.values) - 1)
-        self._u = held.values[last].copy()
+        last = min(self._run.interval, len(inputs.values) - 1)
+        self._u = inputs.values[last].copy()
         return SampleBlock(rows, self._run.interval, status not in WENT_ON)
 
     def _within_plain_step(self, times: Any, most: int) -> Array:
@@ -123,8 +123,8 @@ class EventStepper(EventSteps, BlockStepper):
             run.begin_samples(run.sample + 1, is_within=True)
         return np.array(rows).reshape(-1, run.row)
 
-    def whole(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: Any, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """Nothing: events are located by Python."""
         return lambda: None
@@ -135,7 +135,7 @@ class EventStepper(EventSteps, BlockStepper):
         if self._is_behind:
             self._is_behind = False
             self._native.handed_over += 1
-            after = self._searched(x, u, end, self._native.newest_state())
+            after = self._search(x, u, end, self._native.newest_state())
         else:
             after = super().step(x, u, end)
         if after is x or not np.isfinite(after.v).all():
@@ -145,8 +145,15 @@ class EventStepper(EventSteps, BlockStepper):
             super().continue_from(corrected)
         return corrected
 
-    def _strides(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
-        """Several steps at once, as far as the mode goes on."""
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
+        """Advance by several steps at once, as far as the mode goes on."""
         x = self._known(x)
         if self._is_behind or not x.t < end or not self._is_ready(x, u):
             return self.step(x, u, end), 1
@@ -171,25 +178,25 @@ class EventStepper(EventSteps, BlockStepper):
         """State at a time inside the last step, corrected."""
         return self._native.correct(super().interpolate(t))
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Beside that of `EventSteps` whether the last step is to be searched."""
         last = copied(self.state)
-        return {**super().memory(), "last": last, "is_behind": self._is_behind}
+        return {**super().checkpoint(), "last": last, "is_behind": self._is_behind}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits."""
-        super().recall(memory, x)
-        self._is_behind, self._is_new = memory["is_behind"], False
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        super().restore(checkpoint, x)
+        self._is_behind, self._is_new = checkpoint["is_behind"], False
 
     def _is_ready(self, x: State, u: Array | None) -> bool:
         """Whether native code goes on from the state after the last step."""
         if self._is_behind:
             return False
-        self._last = self._settled(x, u)
-        happens, left = self._transitions, self._run.left
+        self._last = self._settle(x, u)
+        transitions, left = self._transitions, self._run.left
         left[:] = 0.0
-        left[[*happens.left]] = 1.0
-        return self._native.is_compiled and not happens.rests
+        left[[*transitions.left]] = 1.0
+        return self._native.is_compiled and not transitions.rests
 
     def _came_back(self, status: Status) -> None:
         self._is_behind, self._is_new = status is Status.GUARD, True
@@ -239,7 +246,7 @@ class ModeStepper(NativeStepper):
         return self._is_plain
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
-        """As `Stepper.follow`."""
+        """Follow other accelerations from the next step on."""
         self._plain.follow(accelerate, mode)
         self.mode, self.is_compiled = mode, bool(mode)
         if self.is_compiled:
@@ -271,7 +278,7 @@ class ModeStepper(NativeStepper):
         return after
 
     def newest_state(self) -> State:
-        """What is integrated after the last native step, in its mode."""
+        """Return the integrated state after the last native step, in its mode."""
         self._last = after = self.run.state()._replace(mode=self.mode)
         self._is_plain = False  # the event stepper runs native steps by itself, too
         return after
@@ -300,14 +307,14 @@ class ModeStepper(NativeStepper):
         return self.run.inside(t)._replace(mode=self.mode)
 
     def margin_within(self, which: tuple[int, int]) -> Callable[[float], float] | None:
-        """As `Stepper.margin_within`, where native code has taken the step."""
+        """Return a margin within a step that native code has taken."""
         number = self._keys.get(which)
         if self._is_plain or number is None:
             return None
         return lambda t: self.run.margin_within(t, number)
 
     def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
-        """As `Stepper.margin_again`, where native code has taken the step."""
+        """Return a margin again, for a step that native code has taken."""
         number = self._keys.get(which)
         if self._is_plain or number is None:
             return None
@@ -315,7 +322,7 @@ class ModeStepper(NativeStepper):
         return lambda h, t: self.run.margin_again(h, t, number)
 
     def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
-        """As `Stepper.first_event`, where native code has taken the step."""
+        """Return the first event of a step that native code has taken."""
         if self._is_plain or not self.run.sizes.contacts:
             return None
         h, row = self.run.first_event(self._is_gap, left)

@@ -65,5 +65,5 @@ def _refuse(system: Any, method: Integrator) -> None:
     name = type_name(type(method))
     if getattr(method, "tolerance", None) is not None:
         raise Untraceable(f"integrator {name} with a tolerance takes steps of its own in each run")
-    if system.loads.sources.given:
+    if system.loads.sources.entries:
         raise Untraceable("inputs that change in time are given")

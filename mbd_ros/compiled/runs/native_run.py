@@ -129,7 +129,7 @@ class RunMemory:
             keeps_history: Whether it is the last one but for corrections.
         """
         if self._form is not None:
-            x = self._form.turned(x)
+            x = self._form.to_world(x)
         self._numbers[self._at[Field.T]] = x.t
         self._q[...], self._v[...] = x.q, x.v
         if self._z.size:
@@ -148,18 +148,18 @@ class RunMemory:
         v, z = np.split(self._numbers[self._at[Field.W0] :][: nv + nz].copy(), [nv])
         return self._turned_back(float(self._numbers[self._at[Field.T0]]), q, v, z)
 
-    def memory(self) -> Array:
+    def checkpoint(self) -> Array:
         """All that later steps and samples depend on, fresh."""
         return self._numbers[: self._at[Field.MEMORY]].copy()
 
-    def recall(self, memory: Array) -> None:
-        """Go on as after the step at which a memory was taken."""
-        self._numbers[: len(memory)] = memory
+    def restore(self, checkpoint: Array) -> None:
+        """Go on as after the step at which a checkpoint was taken."""
+        self._numbers[: len(checkpoint)] = checkpoint
 
     def _turned_back(self, t: float, q: Array, v: Array, z: Array) -> State:
         """A state of the system from numbers of the run, which it keeps."""
         x = State(t, q, v, z if z.size else NONE)
-        return x if self._form is None else self._form.turned_back(x)
+        return x if self._form is None else self._form.from_world(x)
 
 
 class NativeRun(RunMemory):
@@ -226,7 +226,7 @@ class NativeRun(RunMemory):
         return Status(self._c.step_alone(self._o, self._r, self._u.ctypes.data, end))
 
     def samples(
-        self, times: SampleTimes, held: HeldTable, steps: int, most: int
+        self, times: SampleTimes, inputs: HeldTable, steps: int, most: int
     ) -> tuple[Array, Status]:
         """The samples after the newest one, and why there are no more.
 
@@ -234,64 +234,70 @@ class NativeRun(RunMemory):
 
         Args:
             times: When they are due.
-            held: Inputs from where the run stands on.
+            inputs: Inputs from where the run stands on.
             steps: How many steps may be taken.
             most: How many samples may be written.
         """
         most = min(most, times.end - self.sample)
         rows = np.empty((most, self.row))
-        given = *times[:3], times.resolution, times.slack, times.end, self.ends_at_samples
-        value = TimesOfC(*given)
-        table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
+        fields = *times[:3], times.resolution, times.slack, times.end, self.ends_at_samples
+        value = TimesOfC(*fields)
+        table = InputsOfC(len(inputs.until), inputs.until.ctypes.data, inputs.values.ctypes.data)
         status = self._c.samples(
             *(self._o, self._r, ctypes.addressof(value), ctypes.addressof(table)),
-            *(float(held.now[0]), steps, most, ctypes.addressof(self._written), rows.ctypes.data),
+            *(
+                float(inputs.now[0]),
+                steps,
+                most,
+                ctypes.addressof(self._written),
+                rows.ctypes.data,
+            ),
         )
         return rows[: self._written.value], Status(status)
 
-    def whole(
-        self, y: State, first: Array, times: SampleTimes, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: SampleTimes, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end in one call, with as little else as can be.
+        """A whole run in one call of native code.
 
         It returns rows as `samples` does, and None where the run stopped earlier.
 
         Args:
             y: Where it starts.
             times: When samples are due.
-            held: Inputs of the whole run.
+            inputs: Inputs of the whole run.
             steps: How many steps may be taken.
         """
         start = np.concatenate(([y.t], y.q, y.v, y.z))
         value = TimesOfC(*times[:3], times.resolution, times.slack, times.end, 0)
-        table = InputsOfC(len(held.until), held.until.ctypes.data, held.values.ctypes.data)
-        kept, shape, after_first = (value, table, held), (times.end + 1, self.row), 8 * self.row
-        given = self._o, self._r, start.ctypes.data, *map(ctypes.addressof, kept[:2]), steps
+        table = InputsOfC(len(inputs.until), inputs.until.ctypes.data, inputs.values.ctypes.data)
+        alive, shape, after_first = (value, table, inputs), (times.end + 1, self.row), 8 * self.row
+        arguments = self._o, self._r, start.ctypes.data, *map(ctypes.addressof, alive[:2]), steps
         call, written = self._c.sample_from, ctypes.addressof(self._written)
 
         def take() -> Array | None:
             rows = np.empty(shape)
             rows[0] = first
             place = rows.__array_interface__["data"][0] + after_first
-            call(*given, written, place)
-            return rows if self._written.value == len(rows) - 1 and kept else None
+            call(*arguments, written, place)
+            return rows if self._written.value == len(rows) - 1 and alive else None
 
         return take
 
     def again(self, h: float, t: float) -> tuple[State, Status]:
         """The last step once more with another length [s], and the time it leads to [s]."""
         status = self._c.again(self._o, self._r, h, t, self._out.ctypes.data)
-        return self._given(t), Status(status)
+        return self._output_state(t), Status(status)
 
     def interpolate(self, t: float) -> tuple[State, Status]:
         """State inside the last step, corrected as the state after it is."""
         status = self._c.interpolate(self._o, self._r, t, self._out.ctypes.data)
-        return self._given(t), Status(status)
+        return self._output_state(t), Status(status)
 
     def inside(self, t: float) -> State:
         """State inside the last step, as its dense output has it."""
         self._c.state_within(self._o, self._r, t, self._out.ctypes.data)
-        return self._given(t)
+        return self._output_state(t)
 
     def margin_within(self, t: float, which: int) -> float:
         """A margin of the mode inside the last step, by its number in `Traced.keys`."""
@@ -322,14 +328,14 @@ class NativeRun(RunMemory):
         self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]
         self._c.leave(self._r)
 
-    def _given(self, t: float) -> State:
+    def _output_state(self, t: float) -> State:
         nq, end = self.sizes.nq, self.sizes.nq + self.sizes.nv
         out = self._out.copy()
         return self._turned_back(t, out[:nq], out[nq:end], out[end:])
 
 
 class Sizes(NamedTuple):
-    """What the integrators are compiled for, as `native/run.h` names it.
+    """Options that the integrators are compiled for, as `native/run.h` names them.
 
     Attributes:
         nq: Size of a configuration of what is integrated.
@@ -411,26 +417,26 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
 
 def bound(c: Any) -> Any:
     """The functions of a library with the types of their arguments."""
-    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    pointer, number, integer = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
     for name, arguments in (
         ("restart", (pointer,)),
         ("leave", (pointer,)),
         ("touch", (pointer,)),
-        ("place_of", (whole,)),
-        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
-        ("advance", (pointer, pointer, pointer, number, whole)),
-        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
+        ("place_of", (integer,)),
+        ("sample_from", (*(pointer,) * 5, integer, pointer, pointer)),
+        ("advance", (pointer, pointer, pointer, number, integer)),
+        ("samples", (*(pointer,) * 4, number, integer, integer, pointer, pointer)),
         ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
         ("again", (pointer, pointer, number, number, pointer)),
         ("step_alone", (pointer, pointer, pointer, number)),
         ("state_within", (pointer, pointer, number, pointer)),
-        ("margin_within", (pointer, pointer, number, whole)),
-        ("margin_again", (pointer, pointer, number, number, whole)),
+        ("margin_within", (pointer, pointer, number, integer)),
+        ("margin_again", (pointer, pointer, number, number, integer)),
         ("first_event", (pointer,) * 4),
         ("interpolate", (pointer, pointer, number, pointer)),
     ):
         getattr(c, name).argtypes = arguments
-    c.place_of.restype = whole
+    c.place_of.restype = integer
     for name in ("evaluate_at", "margin_within", "margin_again", "first_event"):
         getattr(c, name).restype = number
     for name in ("restart", "leave", "touch"):

@@ -50,13 +50,13 @@ class NativeStepper(BlockStepper):
         return self._run.is_within
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         return self._run.steps + self.handed_over
 
     @property
     def state(self) -> State:
-        """What is integrated, after the last step."""
+        """The integrated state after the last step."""
         if self._last is None:
             self._last = self._run.state()
         return self._last
@@ -66,33 +66,44 @@ class NativeStepper(BlockStepper):
         self.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+    def samples(self, times: Any, inputs: HeldTable, steps: int, most: int) -> SampleBlock:
         """The samples after the newest one."""
         self._last, self._is_plain = None, False
-        rows, status = self._run.samples(times, held, steps, most)
+        rows, status = self._run.samples(times, inputs, steps, most)
         return SampleBlock(rows, self._run.interval, status not in WENT_ON)
 
-    def whole(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: Any, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end at once, again and again."""
-        take = self._run.whole(y, first, times, held, steps)
+        """Return a function that takes whole runs in one call."""
+        take = self._run.full_run(y, first, times, inputs, steps)
 
-        def taken() -> Array | None:
+        def compute() -> Array | None:
             self._last, self._is_plain = None, False
             return take()
 
-        return taken
+        return compute
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step; x itself at or after `end`."""
         return self.stride(x, u, end, 1)[0]
 
-    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
         """Advance by several steps.
 
         Args:
-            most: How many steps are taken at most.
+            x: State to start from.
+            u: Inputs, held over the steps.
+            end: Time that the steps do not go beyond [s].
+            most: Largest number of steps that are taken.
+            watch: Not called: native code watches its steps itself.
 
         Returns:
             The last state, and how many steps were taken.
@@ -131,23 +142,27 @@ class NativeStepper(BlockStepper):
         self._plain.restart()
         self._last, self._has_plain = None, False
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """The memory of the native run, beside that of plain steps."""
-        kept = {"run": self._run.memory(), "last": copied(self.state)}
-        rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
-        rest["takes_blocks"] = self.takes_blocks
-        return {**kept, **rest, "plain": self._plain.memory() if self._has_plain else None}
+        run_state = {"run": self._run.checkpoint(), "last": copied(self.state)}
+        flags = {"is_plain": self._is_plain, "handed_over": self.handed_over}
+        flags["takes_blocks"] = self.takes_blocks
+        return {
+            **run_state,
+            **flags,
+            "plain": self._plain.checkpoint() if self._has_plain else None,
+        }
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits."""
-        self._run.recall(memory["run"])
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        self._run.restore(checkpoint["run"])
         self._plain.restart()
-        self._has_plain = memory["plain"] is not None
+        self._has_plain = checkpoint["plain"] is not None
         if self._has_plain:
-            self._plain.recall(memory["plain"], x)
-        self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
-        self.takes_blocks = memory["takes_blocks"]
-        self._last = x if is_same(memory["last"], x) else memory["last"]
+            self._plain.restore(checkpoint["plain"], x)
+        self._is_plain, self.handed_over = checkpoint["is_plain"], checkpoint["handed_over"]
+        self.takes_blocks = checkpoint["takes_blocks"]
+        self._last = x if is_same(checkpoint["last"], x) else checkpoint["last"]
 
     def again(self, h: float, t: float) -> State:
         """The last step taken again from its start, with the order of the method."""

@@ -34,7 +34,7 @@ _POINT = np.dtype(
     [("at", "f8", 3), ("ends", "f8", 2), ("joint", "i4"), ("within", "i4"), ("slides", "i4")],
     align=True,
 )
-_WAY = np.dtype([("axis", "f8", 3), ("point", "i4")], align=True)
+_PATH_POINT = np.dtype([("axis", "f8", 3), ("point", "i4")], align=True)
 _CARRIED = np.dtype([("at", "f8", 12), ("joint", "i4")], align=True)
 _NOWHERE = -1
 _ROTATION = 72  # bytes
@@ -59,23 +59,23 @@ class PathSearch:
         self._call.restype = None
 
     def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
-        """The taut path of a `WrappedPath` in every sample; see `wrapped_path.taut`."""
+        """Return the taut path of a `WrappedPath` in every sample, see `wrapped_path.taut`."""
         n, m, _ = points.shape
         known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
         if not known or len(places) > WRAPS or m - 1 > LINES:
             return taut(points, path.reaches, places)
-        out = self._found(path, _flat(points, places))
+        out = self._search(path, _flat(points, places))
         length, by_points = out[:, 0], out[:, 1 : 1 + 3 * m].reshape(n, m, 3)
-        found = Taut(length, by_points, out[:, 1 + 3 * m :].reshape(n, len(places), 6))
+        paths = Taut(length, by_points, out[:, 1 + 3 * m :].reshape(n, len(places), 6))
         lost = np.isnan(length)
         if lost.any():
-            rest = taut(points[lost], path.reaches, [place.of(lost) for place in places])
-            for whole, part in zip(found, rest, strict=True):
-                whole[lost] = part
-        return found
+            others = taut(points[lost], path.reaches, [place.of(lost) for place in places])
+            for values, part in zip(paths, others, strict=True):
+                values[lost] = part
+        return paths
 
-    def _found(self, path: Any, at: Array) -> Array:
-        """What native code finds of every sample, a row each."""
+    def _search(self, path: Any, at: Array) -> Array:
+        """Return the results of the native search, one sample a row."""
         rows = np.array([tuple(row_of(wrap.surface)) for wrap in path.wraps], dtype=ROW)
         of = np.array([len(path.points), len(path.wraps), 0], dtype=np.int32)
         reaches: NDArray[np.int32] = np.array(
@@ -97,7 +97,7 @@ def _flat(points: Array, places: Sequence[Placed]) -> Array:
 
 
 class StatePaths:
-    """What paths through points and over surfaces do, beside a `Data` that has its Jacobians.
+    """Lengths and forces of paths through points and over surfaces, from Jacobians of a `Data`.
 
     One library serves all scenes with wraps, another one those without.
 
@@ -137,7 +137,7 @@ class StatePaths:
             *(_joints(model), _places(data)),
             np.array([_row(robot, point) for point in points], dtype=_POINT),
             np.cumsum([0, *map(len, corners)], dtype=np.int32),
-            np.array(_ways(points), dtype=_WAY),
+            np.array(_path_points(points), dtype=_PATH_POINT),
             *(self._slides, data.J, self._q, self._v),
             *(np.array(pairs, dtype=np.int32), self._slopes, independent.astype(np.int32)),
             *(self.length, self.speed, self.columns),
@@ -145,7 +145,7 @@ class StatePaths:
             *(np.zeros((model.njoints, 6)), np.zeros(model.nv)),
             *(_surfaces(robot, paths) if wrapped else ()),
         ]
-        self._kept = data, tables
+        self._alive = data, tables
         self._at = (ctypes.c_void_p * len(tables))(*(table.ctypes.data for table in tables))
         self._address = ctypes.addressof(self._at)
 
@@ -199,7 +199,7 @@ def _row(robot: Robot, point: ViaPoint) -> tuple[Any, ...]:
     return at.translation, ends, joint, where, slides.v if slides else _NOWHERE
 
 
-def _ways(points: Sequence[ViaPoint]) -> list[tuple[Any, int]]:
+def _path_points(points: Sequence[ViaPoint]) -> list[tuple[Any, int]]:
     """Ways along which points slide, with the number of the point."""
     return [(axis, i) for i, point in enumerate(points) for axis, _ in point.directions]
 

@@ -1,4 +1,4 @@
-"""Methods, inputs and times as native runs read them, in the layout of `native/run.h`."""
+"""C structures of methods, inputs and times, in the layout of `native/run.h`."""
 
 from __future__ import annotations
 
@@ -23,41 +23,41 @@ _LONG, _DOUBLE = ctypes.c_long, ctypes.c_double
 _LONGS, _DOUBLES = ctypes.c_void_p, ctypes.c_void_p
 
 
-def method_options(method: Integrator, dt: float) -> Held:
-    """The method with steps of dt [s], or with that first guess.
+def method_options(method: Integrator, dt: float) -> CStructure:
+    """Return the options of a method with steps of dt [s], or with dt as a first guess.
 
     Raises:
-        ModelError: Native runs do not know it.
+        ModelError: The method has no native form.
     """
     if not method.native:
         name = type_name(type(method))
         raise ModelError(f"integrator {name} is not compiled; accepted: {_ACCEPTED}")
     kind = Method[method.native.upper()]
     options, tables = OptionsOfC(method=kind, dt=dt), []
-    given: Any = method
+    options_of: Any = method
     if kind == Method.RUNGE_KUTTA:
-        tables.append(tableau_of(given.tableau))
-        tolerance = getattr(given, "tolerance", None)
+        tables.append(tableau_of(options_of.tableau))
+        tolerance = getattr(options_of, "tolerance", None)
         options.is_adaptive, options.tolerance = tolerance is not None, tolerance or 0.0
     elif kind == Method.ADAMS:
-        tables += [tableau_of(starter(given.order)), adams_of(given.order, dt)]
+        tables += [tableau_of(starter(options_of.order)), adams_of(options_of.order, dt)]
         options.adams = tables[1].value
     elif kind == Method.RATTLE:
-        options.closed = given.tolerance
+        options.closed = options_of.tolerance
     if tables:
         options.tableau = tables[0].value
-    return Held(options, tuple(array for table in tables for array in table.arrays))
+    return CStructure(options, tuple(array for table in tables for array in table.arrays))
 
 
-class Held(NamedTuple):
-    """A structure for C and the arrays that it points to, which must live as long."""
+class CStructure(NamedTuple):
+    """A C structure and the arrays that it points to, which must live as long."""
 
     value: Any
     arrays: tuple[NDArray[Any], ...]
 
 
 class Method(IntEnum):
-    """Methods that native runs know."""
+    """Methods with a native form."""
 
     RUNGE_KUTTA = 0
     ADAMS = 1
@@ -92,7 +92,7 @@ class AdamsOfC(ctypes.Structure):
 
 
 class OptionsOfC(ctypes.Structure):
-    """What stays the same in a run."""
+    """Constants of a run."""
 
     _fields_ = [
         *((n, _LONG) for n in ("method", "is_adaptive", "smooth")),
@@ -104,8 +104,8 @@ class OptionsOfC(ctypes.Structure):
     ]
 
 
-def tableau_of(method: Tableau) -> Held:
-    """A Runge-Kutta method for C."""
+def tableau_of(method: Tableau) -> CStructure:
+    """Return a Runge-Kutta method as a C structure."""
     c = method.a.sum(axis=1)
     tables = [weights(rows) for rows in (method.a, method.errors, method.terms)]
     value = TableauOfC(
@@ -113,11 +113,11 @@ def tableau_of(method: Tableau) -> Held:
         *(len(method.terms), len(method.a), 1.0 / (method.error_order + 1), c.ctypes.data),
         *(table.value for table in tables),
     )
-    return Held(value, (c, *(one for table in tables for one in table.arrays)))
+    return CStructure(value, (c, *(array for table in tables for array in table.arrays)))
 
 
-def weights(rows: Sequence[Array] | Array) -> Held:
-    """Rows of weights, shape (m, n), for C."""
+def weights(rows: Sequence[Array] | Array) -> CStructure:
+    """Return rows of weights, shape (m, n), as a C structure."""
     table = np.atleast_2d(np.asarray(rows, dtype=np.float64))
     places = [np.flatnonzero(row) for row in table]
     begin = np.cumsum([0, *map(len, places)]).astype(np.int64)
@@ -125,20 +125,20 @@ def weights(rows: Sequence[Array] | Array) -> Held:
     chosen = [row[at] for row, at in zip(table, places, strict=True)]
     value = np.concatenate([np.zeros(0), *chosen])
     arrays = begin, column, value
-    return Held(WeightsOfC(*(each.ctypes.data for each in arrays)), arrays)
+    return CStructure(WeightsOfC(*(array.ctypes.data for array in arrays)), arrays)
 
 
-def adams_of(order: int, dt: float) -> Held:
-    """An Adams method for C, with steps of dt [s]."""
+def adams_of(order: int, dt: float) -> CStructure:
+    """Return an Adams method with steps of dt [s] as a C structure."""
     once, twice = powers(-np.arange(order, dtype=np.float64))
     position, velocity = adams_weights(order, dt)
     tables = [weights(rows) for rows in (position, velocity, twice.T, once.T)]
     value = AdamsOfC(order, order - 1, *(table.value for table in tables))
-    return Held(value, tuple(one for table in tables for one in table.arrays))
+    return CStructure(value, tuple(array for table in tables for array in table.arrays))
 
 
 class Status(IntEnum):
-    """Why a native run came back."""
+    """Reason why a native run returned."""
 
     DONE = 0
     PAUSED = 1
@@ -152,7 +152,7 @@ class Status(IntEnum):
 
 
 class Field(IntEnum):
-    """Numbers of a run that Python reads or writes."""
+    """Fields of a run that Python reads or writes."""
 
     SIZE = 0
     MEMORY = 1
@@ -184,7 +184,7 @@ class PiecesOfC(ctypes.Structure):
 
 
 class TimesOfC(ctypes.Structure):
-    """When samples are due."""
+    """Times of samples."""
 
     _fields_ = [
         *((n, _DOUBLE) for n in ("origin", "dt", "last", "resolution", "slack")),
@@ -193,27 +193,32 @@ class TimesOfC(ctypes.Structure):
 
 
 class InputsOfC(ctypes.Structure):
-    """Held inputs, a row an interval."""
+    """Piecewise constant inputs, one row for each interval."""
 
     _fields_ = [("count", _LONG), ("until", _DOUBLES), ("values", _DOUBLES)]
 
 
-def pieces_of(given: Sequence[tuple[slice, Pieces]]) -> Held:
-    """What smooth sources are made of, with their places in u, for C."""
+def pieces_of(sources: Sequence[tuple[slice, Pieces]]) -> CStructure:
+    """Return the pieces of smooth sources, with their slots in u, as C structures."""
     arrays: list[NDArray[Any]] = []
-    found = (PiecesOfC * len(given))()
-    for one, (at, pieces) in zip(found, given, strict=True):
-        times, rows = (np.ascontiguousarray(each, np.float64) for each in pieces[:2])
+    structures = (PiecesOfC * len(sources))()
+    for structure, (at, pieces) in zip(structures, sources, strict=True):
+        times, rows = (np.ascontiguousarray(table, np.float64) for table in pieces[:2])
         jumps = np.ascontiguousarray(pieces.jumps, np.int64)
         count, powers, width = rows.shape
-        one.at, one.width, one.count, one.powers = at.start, width, count, powers
-        one.times, one.coefficients, one.jumps = (a.ctypes.data for a in (times, rows, jumps))
+        structure.at = at.start
+        structure.width = width
+        structure.count = count
+        structure.powers = powers
+        structure.times = times.ctypes.data
+        structure.coefficients = rows.ctypes.data
+        structure.jumps = jumps.ctypes.data
         arrays += [times, rows, jumps]
-    return Held(found, tuple(arrays))
+    return CStructure(structures, tuple(arrays))
 
 
 def internal_bounds(system: Any) -> Array:
-    """Least and largest internal states, and what counts as an error of one, shape (3, nz)."""
+    """Return lower and upper bounds of internal states, and their error scale, shape (3, nz)."""
     internals = system.internals
     widths = np.minimum(internals.upper - internals.lower, 1.0)
     return np.array([internals.lower, internals.upper, widths]).reshape(3, -1)

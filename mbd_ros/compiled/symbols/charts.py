@@ -44,14 +44,14 @@ class CurvedChart:
     def integrate(self, q: Any, dq: Any) -> Any:
         """The configuration q (+) dq, a column."""
         values, steps = ca.vertsplit(q), ca.vertsplit(dq)
-        found = [ca.SX(0.0)] * self._model.nq
+        values_out = [ca.SX(0.0)] * self._model.nq
         for joint in self._model.joints:
             if joint.nv == 1:
-                found[joint.idx_q] = values[joint.idx_q] + steps[joint.idx_v]
+                values_out[joint.idx_q] = values[joint.idx_q] + steps[joint.idx_v]
             elif joint.nv == _BASE_V:
                 at, v = joint.idx_q, joint.idx_v
-                found[at : at + 7] = self._moved(values[at : at + 7], steps[v : v + 6])
-        return ca.vertcat(*found)
+                values_out[at : at + 7] = self._moved(values[at : at + 7], steps[v : v + 6])
+        return ca.vertcat(*values_out)
 
     def rate(self, dq: Any, v: Any) -> Any:
         """Rate of dq in q0 (+) dq while the configuration moves with v, a column."""
@@ -71,9 +71,9 @@ class CurvedChart:
         first = _either(square, (1.0 - c) / _safe(square), _series(square, 2))
         second = _either(square, (root - s) / (_safe(square) * root), _series(square, 3))
         across = cross(turn, along)
-        way = plus(along, plus(times(first, across), times(second, cross(turn, across))))
-        place = plus(tuple(pose[:3]), through(R, way))
-        return [*place, *turned(pose[3:], turn)]
+        displacement = plus(along, plus(times(first, across), times(second, cross(turn, across))))
+        place = plus(tuple(pose[:3]), through(R, displacement))
+        return [*place, *turn_quaternion(pose[3:], turn)]
 
     def _rate(self, step: list[Any], v: list[Any]) -> list[Any]:
         """The inverse of the right Jacobian of SE(3) times v: v + ad v / 2 + a ad^2 v + b ad^4 v.
@@ -88,21 +88,21 @@ class CurvedChart:
         G = 0.5 * root / tangent
         slope = 0.5 / tangent - 0.25 * root * (1.0 + 1.0 / (tangent * tangent))
         D = -slope / (2.0 * root)
-        rest = (1.0 - D * s - G) / _safe(s)
+        remainder = (1.0 - D * s - G) / _safe(s)
         small_a, small_b = ca.SX(_BERNOULLI[0]), ca.SX(0.0)
         power = ca.SX(1.0)
         for k, weight in enumerate(_BERNOULLI[1:], 2):
             small_b += weight * (k - 1) * power
             small_a += weight * (k - 2) * s * power
             power = -s * power
-        a = _either(s, D + 2.0 * rest, small_a)
-        b = _either(s, rest / _safe(s), small_b)
+        a = _either(s, D + 2.0 * remainder, small_a)
+        b = _either(s, remainder / _safe(s), small_b)
         first = _ad(along, turn, (tuple(v[:3]), tuple(v[3:])))
         second = _ad(along, turn, first)
         fourth = _ad(along, turn, _ad(along, turn, second))
         return [
-            own + 0.5 * one + a * two + b * four
-            for own, one, two, four in zip(
+            entry + 0.5 * first_order + a * two + b * four
+            for entry, first_order, two, four in zip(
                 v, *([*part[0], *part[1]] for part in (first, second, fourth)), strict=True
             )
         ]
@@ -113,7 +113,7 @@ class WorldChart(CurvedChart):
 
     def _moved(self, pose: list[Any], step: list[Any]) -> list[Any]:
         place = plus(tuple(pose[:3]), tuple(step[:3]))
-        return [*place, *turned(pose[3:], tuple(step[3:]), in_world=True)]
+        return [*place, *turn_quaternion(pose[3:], tuple(step[3:]), in_world=True)]
 
     def _rate(self, step: list[Any], v: list[Any]) -> list[Any]:
         return [*v[:3], *turn_rate(tuple(step[3:]), tuple(v[3:]))]
@@ -135,17 +135,17 @@ class WorldAxes:
 
     def in_world(self, v: Sequence[Any]) -> list[Any]:
         """Velocities, or small motions, in the axes of the world, SX scalars."""
-        found = list(v)
+        values_out = list(v)
         for at, R in self._vectors():
-            found[at : at + 3] = through(R, tuple(v[at : at + 3]))
-        return found
+            values_out[at : at + 3] = through(R, tuple(v[at : at + 3]))
+        return values_out
 
     def in_own_axes(self, v: Sequence[Any]) -> list[Any]:
         """The reverse of `in_world`."""
-        found = list(v)
+        values_out = list(v)
         for at, R in self._vectors():
-            found[at : at + 3] = through(transposed(R), tuple(v[at : at + 3]))
-        return found
+            values_out[at : at + 3] = through(transposed(R), tuple(v[at : at + 3]))
+        return values_out
 
     def rate(self, a: Sequence[Any], v: Sequence[Any]) -> list[Any]:
         """Rates of velocities in the axes of the world, SX scalars.
@@ -154,20 +154,20 @@ class WorldAxes:
             a: Accelerations in the axes of the bodies.
             v: Velocities in those of the world.
         """
-        found = self.in_world(a)
+        values_out = self.in_world(a)
         for at in self._axes:
             along: Vector = tuple(v[at : at + 3])
             turning = cross(tuple(v[at + 3 : at + 6]), along)
-            found[at : at + 3] = plus(tuple(found[at : at + 3]), turning)
-        return found
+            values_out[at : at + 3] = plus(tuple(values_out[at : at + 3]), turning)
+        return values_out
 
     def slowing(self, a: Sequence[Any], v: Sequence[Any]) -> list[Any]:
         """The reverse of `rate`."""
-        found = list(a)
+        values_out = list(a)
         for at in self._axes:
             turning = cross(tuple(v[at + 3 : at + 6]), tuple(v[at : at + 3]))
-            found[at : at + 3] = minus(tuple(a[at : at + 3]), turning)
-        return self.in_own_axes(found)
+            values_out[at : at + 3] = minus(tuple(a[at : at + 3]), turning)
+        return self.in_own_axes(values_out)
 
     def _vectors(self) -> Iterator[tuple[int, Matrix]]:
         for at, R in self._axes.items():
@@ -175,7 +175,7 @@ class WorldAxes:
             yield at + 3, R
 
 
-def turned(quaternion: list[Any], turn: Vector, *, in_world: bool = False) -> list[Any]:
+def turn_quaternion(quaternion: list[Any], turn: Vector, *, in_world: bool = False) -> list[Any]:
     """A unit quaternion after a turn about its own axes, or about those of the world."""
     x, y = tuple(quaternion[:3]), quaternion[3]
     square = dot(turn, turn)
@@ -185,9 +185,9 @@ def turned(quaternion: list[Any], turn: Vector, *, in_world: bool = False) -> li
     e = times(half, turn)
     across = cross(e, x) if in_world else cross(x, e)
     vector = plus(plus(times(w, x), times(y, e)), across)
-    whole = [*vector, y * w - dot(x, e)]
-    share = 0.5 * (3.0 - sum(one * one for one in whole))
-    return [share * one for one in whole]
+    quaternion_out = [*vector, y * w - dot(x, e)]
+    share = 0.5 * (3.0 - sum(component * component for component in quaternion_out))
+    return [share * component for component in quaternion_out]
 
 
 def turn_rate(turn: Vector, spin: Vector) -> Vector:
@@ -215,15 +215,15 @@ def _ad(along: Vector, turn: Vector, v: tuple[Vector, Vector]) -> tuple[Vector, 
 
 def _series(square: Any, first: int) -> Any:
     """Sum of (-square)^k / (2 k + first)!."""
-    found, term = ca.SX(0.0), 1.0
+    series, term = ca.SX(0.0), 1.0
     for i in range(1, first + 1):
         term /= i
     power = ca.SX(1.0)
     for k in range(9):
-        found += term * power
+        series += term * power
         power = -square * power
         term /= (2 * k + first + 1) * (2 * k + first + 2)
-    return found
+    return series
 
 
 def _safe(square: Any) -> Any:

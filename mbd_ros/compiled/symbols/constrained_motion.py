@@ -60,11 +60,11 @@ class ConstrainedMotion:
         for i, row in enumerate(rows.J):
             entries.update({(nv + i, j): value for j, value in row.items()})
             entries[nv + i, nv + i] = -(self._slack[i] + self._soft[i])
-        upper = {(nv + i, j): one for i, push in pushes.items() for j, one in push.items()}
+        upper = {(nv + i, j): entry for i, push in pushes.items() for j, entry in push.items()}
         edges = [at for at, value in (entries | upper).items() if not value.is_zero()]
         self._groups = [
-            ([j for j in one if j < nv], [i - nv for i in one if i >= nv])
-            for one in connected_groups(edges, nv + self._m)
+            ([j for j in entry if j < nv], [i - nv for i in entry if i >= nv])
+            for entry in connected_groups(edges, nv + self._m)
         ]
         waits = {i: {*row, *pushes.get(i - nv, ())} for i, row in enumerate(rows.J, nv)}
         order = elimination_order(edges, nv + self._m, waits)
@@ -72,53 +72,53 @@ class ConstrainedMotion:
 
     @property
     def size(self) -> int:
-        """Operations of a solution, about."""
+        """Approximate number of operations of a solution."""
         return self._factors.size
 
     @property
     def pivots(self) -> list[Any]:
-        """What rows leave of themselves, SX scalars; see `Solution`."""
+        """Pivots of the rows, SX scalars, see `Solution`."""
         return [-self._factors.pivots[i] for i in range(self._nv, self._nv + self._m)]
 
     def solve(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
-        """Accelerations and multipliers for f and b."""
+        """Return accelerations and multipliers for f and b."""
         x = self._factors.solve([*map(ca.SX, forces), *rates])
-        return Solution(x[: self._nv], [-one for one in x[self._nv :]], self.pivots)
+        return Solution(x[: self._nv], [-entry for entry in x[self._nv :]], self.pivots)
 
     def balanced(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
-        """The same where rows may depend on one another: the least multipliers of those that do.
+        """Solve with rows that may be dependent, for multipliers of least norm.
 
-        What softness leaves of rates is solved for again. Multipliers that change no rate may move
-        bodies by different slips; they are left out of those of each group of bodies, where all
-        others are multiples of one. It is sound if nothing is left of rates then, and if no other
-        ones move anything.
+        Iterative refinement removes the effect of the regularization on rates. Multipliers that
+        change no rate are removed in each group of bodies, where they are multiples of a single
+        vector. The solution is sound if the residual of the rates vanishes, and if no other such
+        multipliers have an effect.
         """
-        found, still = self.solve(forces, rates), [ZERO] * self._nv
-        least = largest(self._left(found, rates))
+        solution, still = self.solve(forces, rates), [ZERO] * self._nv
+        least = largest(self._left(solution, rates))
         for _ in range(_AGAIN):
-            more = self.solve(still, self._left(found, rates))
-            pairs = zip(found[:2], more[:2], strict=True)
+            more = self.solve(still, self._left(solution, rates))
+            pairs = zip(solution[:2], more[:2], strict=True)
             a, lam = ([x + y for x, y in zip(*pair, strict=True)] for pair in pairs)
-            found = found._replace(a=a, lam=lam)
+            solution = solution._replace(a=a, lam=lam)
         idle = self._idle(0)
-        found = self._without(found, idle)
+        solution = self._without(solution, idle)
         most = _SHRUNK * least + _OPEN * (1.0 + largest(rates))
-        is_open = largest(self._left(found, rates)) > most
-        rest = self._without(self._idle(self._m), idle)
-        moves = self._energy(rest.a) > _IDLE * _IDLE / SOFT * sum(self._soft)
-        return found._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
+        is_open = largest(self._left(solution, rates)) > most
+        others = self._without(self._idle(self._m), idle)
+        moves = self._energy(others.a) > _IDLE * _IDLE / SOFT * sum(self._soft)
+        return solution._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
 
     def _idle(self, start: int) -> Solution:
-        """Some multipliers that change no rate; next to none where rows are independent."""
+        """Return multipliers that change no rate; they nearly vanish for independent rows."""
         still, lam = [ZERO] * self._nv, [ca.SX(math.cos(1.0 + start + i)) for i in range(self._m)]
         for _ in range(2):  # leaves of any multipliers those that change no rate
-            found = self.solve(still, [x * y for x, y in zip(self._soft, lam, strict=True)])
-            lam = found.lam
-        return found
+            solution = self.solve(still, [x * y for x, y in zip(self._soft, lam, strict=True)])
+            lam = solution.lam
+        return solution
 
-    def _without(self, found: Solution, idle: Solution) -> Solution:
-        """The part of a solution across idle multipliers, in each group of bodies."""
-        a, lam = list(found.a), list(found.lam)
+    def _without(self, solution: Solution, idle: Solution) -> Solution:
+        """Return a solution without the component of idle multipliers in each group of bodies."""
+        a, lam = list(solution.a), list(solution.lam)
         for joints, rows in self._groups:
             counted = [i for i in rows if not self._slack[i].is_zero()]  # rigid ones are not
             size = sum((idle.lam[i] * idle.lam[i] for i in counted), ZERO)
@@ -128,32 +128,35 @@ class ConstrainedMotion:
                 lam[i] = lam[i] - share * idle.lam[i]
             for j in joints:
                 a[j] = a[j] - share * idle.a[j]
-        return found._replace(a=a, lam=lam)
+        return solution._replace(a=a, lam=lam)
 
-    def _left(self, found: Solution, rates: Sequence[Any]) -> list[Any]:
-        """What is left of b."""
-        each = zip(self._rows.J, self._slack, found.lam, rates, strict=True)
+    def _left(self, solution: Solution, rates: Sequence[Any]) -> list[Any]:
+        """Return the residual of the rates b."""
+        each = zip(self._rows.J, self._slack, solution.lam, rates, strict=True)
         return [
-            rate - slack * lam - sum((one * found.a[j] for j, one in row.items()), ZERO)
+            rate - slack * lam - sum((entry * solution.a[j] for j, entry in row.items()), ZERO)
             for row, slack, lam, rate in each
         ]
 
     def _energy(self, a: Sequence[Any]) -> Any:
-        """Twice the kinetic energy of velocities a."""
+        """Return twice the kinetic energy of velocities a."""
         return sum(
-            ((2.0 if i != j else 1.0) * a[i] * one * a[j] for (i, j), one in self._mass.items()),
+            (
+                (2.0 if i != j else 1.0) * a[i] * entry * a[j]
+                for (i, j), entry in self._mass.items()
+            ),
             ZERO,
         )
 
 
 class Solution(NamedTuple):
-    """What holds at a state.
+    """Accelerations and multipliers at a state.
 
     Attributes:
-        a: Accelerations of what is integrated, SX scalars.
+        a: Accelerations of integrated coordinates, SX scalars.
         lam: Multipliers of the rows, SX scalars.
-        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
-        sound: Positive where rows that may depend on one another are solved; no SX without any.
+        pivots: Pivots of J M^-1 J' in the factorization, SX scalars.
+        sound: Positive if dependent rows are solved; None without such rows.
     """
 
     a: list[Any]
@@ -179,14 +182,14 @@ class Rows(NamedTuple):
     level: list[Level]
 
     def velocities(self, v: Sequence[Any]) -> list[Any]:
-        """J v + rate, one SX scalar a row."""
+        """Return J v + rate, one SX scalar a row."""
         return [
             sum((value * v[j] for j, value in row.items()), rate)
             for row, rate in zip(self.J, self.rate, strict=True)
         ]
 
     def conditions(self, v: Sequence[Any], gains: tuple[float, float]) -> list[Any]:
-        """The b of J a + b = g'' + kd g' + kp g."""
+        """Return the b of J a + b = g'' + kd g' + kp g."""
         kp, kd = gains
         if isinstance(kp, float) and kp == kd == 0.0:
             return self.drift
@@ -194,24 +197,24 @@ class Rows(NamedTuple):
         return [drift + kd * rate + kp * g for drift, rate, g in parts]
 
     def of(self, level: Level) -> Rows:
-        """Those of one level."""
-        return self.only([i for i, one in enumerate(self.level) if one is level])
+        """Return the rows of one level."""
+        return self.only([i for i, other_level in enumerate(self.level) if other_level is level])
 
-    def only(self, kept: Sequence[int]) -> Rows:
-        """Some of them."""
-        return Rows(*([column[i] for i in kept] for column in self))
+    def only(self, indices: Sequence[int]) -> Rows:
+        """Return the rows with the given indices."""
+        return Rows(*([column[i] for i in indices] for column in self))
 
     def beside(self, others: Rows) -> Rows:
-        """These, then others."""
-        return Rows(*([*own, *more] for own, more in zip(self, others, strict=True)))
+        """Return these rows, then others."""
+        return Rows(*([*entries, *more] for entries, more in zip(self, others, strict=True)))
 
     def reduced(self, coordinates: Coordinates) -> Rows:
-        """The same with J by the velocities of what is integrated."""
+        """Return the rows with J in integrated coordinates."""
         return self._replace(J=[coordinates.reduced_row(row) for row in self.J])
 
 
 def rows_of(blocks: Sequence[RowBlock], k: Any, x: State) -> Rows:
-    """The rows of constraints, in their order.
+    """Return the rows of constraints, in their order.
 
     Args:
         x: State of all joints, in arrays of numbers.
@@ -219,38 +222,40 @@ def rows_of(blocks: Sequence[RowBlock], k: Any, x: State) -> Rows:
     Raises:
         Untraceable: Names the constraint and why.
     """
-    found = Rows([], [], [], [], [])
+    rows = Rows([], [], [], [], [])
     for block in blocks:
         with tracing(block.part):
-            _add(found, block, k, x)
-    return found
+            _add(rows, block, k, x)
+    return rows
 
 
-def _add(found: Rows, block: RowBlock, k: Any, x: State) -> None:
+def _add(rows: Rows, block: RowBlock, k: Any, x: State) -> None:
     part, n = block.part, len(block.rows)
     J, drift = part.accelerations(k, x)
     g: Any = [0.0] * n if block.level is Level.VELOCITY else part.residual(k, x)
     for row in np.asarray(J, dtype=object).reshape(n, -1):
-        entries = {j: ca.SX(plain(one)) for j, one in enumerate(row)}
-        found.J.append({j: one for j, one in entries.items() if not one.is_zero()})
-    for values, given in ((found.drift, drift), (found.g, g), (found.rate, part.rate(k, x))):
-        values.extend(ca.SX(plain(one)) for one in np.asarray(given, dtype=object).reshape(n))
-    found.level.extend([block.level] * n)
+        entries = {j: ca.SX(plain(entry)) for j, entry in enumerate(row)}
+        rows.J.append({j: entry for j, entry in entries.items() if not entry.is_zero()})
+    for values, entries_of in ((rows.drift, drift), (rows.g, g), (rows.rate, part.rate(k, x))):
+        values.extend(
+            ca.SX(plain(entry)) for entry in np.asarray(entries_of, dtype=object).reshape(n)
+        )
+    rows.level.extend([block.level] * n)
 
 
 def connected_groups(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
-    """Numbers below a size that edges join."""
+    """Return the groups of numbers below a size that are connected by edges."""
     group = list(range(size))
     for i, j in edges:
-        one, other = group[i], group[j]
-        if one != other:
-            group = [one if each == other else each for each in group]
-    return [[i for i in range(size) if group[i] == one] for one in sorted(set(group))]
+        first, second = group[i], group[j]
+        if first != second:
+            group = [first if each == second else each for each in group]
+    return [[i for i in range(size) if group[i] == first] for first in sorted(set(group))]
 
 
 def largest(values: Sequence[Any]) -> Any:
-    """The largest size among SX scalars, 0 where there are none."""
-    found = ZERO
+    """Return the largest absolute value among SX scalars, 0 if there are none."""
+    result = ZERO
     for value in values:
-        found = ca.fmax(found, ca.fabs(value))
-    return found
+        result = ca.fmax(result, ca.fabs(value))
+    return result

@@ -76,71 +76,71 @@ class Equations(SymbolicSystem):
     @cached_property
     def rates(self) -> Any:
         """Rates of the internal states, a column."""
-        found = self.k.zeros(self.nz)
-        for part in map(self.own, self.system.internals.parts):
+        rates = self.k.zeros(self.nz)
+        for part in map(self.with_symbols, self.system.internals.parts):
             with tracing(part):
-                found[part.z] = part.rates(self.k, self.x, self.u)
-        return column(found)
+                rates[part.z] = part.rates(self.k, self.x, self.u)
+        return column(rates)
 
     def balance(self, w: Any) -> Any:
-        """What is zero where w, a column, are the rates of the internal states; a column."""
-        found, given = self.k.zeros(self.nz), numbers(w)
-        for part in map(self.own, self.system.internals.parts):
+        """Return the residual of rates w of the internal states, a column."""
+        residual, w_values = self.k.zeros(self.nz), numbers(w)
+        for part in map(self.with_symbols, self.system.internals.parts):
             with tracing(part):
-                found[part.z] = part.balance(self.k, self.x, self.u, given[part.z])
-        return column(found)
+                residual[part.z] = part.balance(self.k, self.x, self.u, w_values[part.z])
+        return column(residual)
 
     @cached_property
-    def held(self) -> Rows:
-        """Rigid rows that accelerations and velocities keep."""
-        return rows_of(self.blocks(self.system.held.constraints.blocks), self.k, self.x)
+    def rigid_rows(self) -> Rows:
+        """Rows of bilateral constraints."""
+        return rows_of(self.blocks(self.system.bilateral.constraints.blocks), self.k, self.x)
 
     @cached_property
-    def acting(self) -> Rows:
-        """Rigid rows, then those that are on in the mode, in what is integrated."""
-        return self.held.beside(self.unilateral.on)
+    def active_rows(self) -> Rows:
+        """Bilateral rows, then active unilateral rows, in integrated coordinates."""
+        return self.rigid_rows.beside(self.unilateral.on)
 
     @cached_property
     def bias(self) -> list[Any]:
-        """The b of J a + b = 0, one SX scalar a row that acts."""
-        rigid = self.held.conditions(self.velocity, self.system.held.constraints.gains)
+        """The b of J a + b = 0, one SX scalar for each active row."""
+        rigid = self.rigid_rows.conditions(self.velocity, self.system.bilateral.constraints.gains)
         return [*rigid, *self.unilateral.bias]
 
     @cached_property
     def slack(self) -> list[Any]:
-        """The s of J a + s lam + b = 0; empty where all are none."""
+        """The s of J a + s lam + b = 0; empty if all are zero."""
         return [*[ZERO] * self.mh, *self.unilateral.slack] if self.unilateral.slack else []
 
     @cached_property
     def pushing(self) -> Pushes:
-        """Rows that push otherwise than they hold, as `ConstrainedMotion` takes them."""
+        """Force directions of rows that differ from J, see `ConstrainedMotion`."""
         return {self.mh + i: push for i, push in self.unilateral.pushing.items()}
 
     @cached_property
     def soft(self) -> list[float]:
-        """What is added to the s of contacts, which may depend on one another, one a row."""
+        """Regularization of contacts, whose rows may be dependent, one number a row."""
         contacts = self.unilateral.touching
         if not contacts:
             return []
         mass = self.coordinates.reduced_matrix(self.dynamics[0].mass)
-        pivots = ConstrainedMotion(mass, self.acting, self.nv, self.slack).pivots
+        pivots = ConstrainedMotion(mass, self.active_rows, self.nv, self.slack).pivots
         usual = self._usual_pivots(pivots, self.switches)
         sizes = np.abs(usual[self.mh :]).tolist()
-        found = [0.0] * len(self.slack)
+        softness = [0.0] * len(self.slack)
         for i in contacts:
             most = max(sizes[i : i + 3]) or 1.0
-            found[self.mh + i : self.mh + i + 3] = [SOFT * most] * 3
-        return found
+            softness[self.mh + i : self.mh + i + 3] = [SOFT * most] * 3
+        return softness
 
     @cached_property
     def dynamics(self) -> list[TreeDynamics]:
-        """In all axes that are worth a try."""
-        q, v = (scalars(column(one)) for one in (self.coordinates.q, self.coordinates.v))
+        """Equations of the tree in all axes that may lead to few operations."""
+        q, v = (scalars(column(entry)) for entry in (self.coordinates.q, self.coordinates.v))
         return choices(self.tree, q, v, has_rows=self.mh > 0)
 
     @cached_property
     def chosen(self) -> tuple[TreeDynamics, Solution]:
-        """The form of the fewest operations."""
+        """The form with the fewest operations."""
         best, fewest = None, 0
         for dynamics in self.dynamics:
             for solution in self._solutions(dynamics):
@@ -151,31 +151,31 @@ class Equations(SymbolicSystem):
         return best
 
     def _solutions(self, dynamics: TreeDynamics) -> Iterator[Solution]:
-        """The same accelerations by all forms that are worth a try."""
-        is_open_chain = not self.acting.J and self.nv == self.tree.nv
+        """Yield the accelerations in all forms that may lead to few operations."""
+        is_open_chain = not self.active_rows.J and self.nv == self.tree.nv
         if is_open_chain:
             yield Solution(dynamics.articulated(self.tau), [], [])
         if not is_open_chain or self.nv <= LONG:
             yield self._solved_by_factors(dynamics)
 
     def _solved_by_factors(self, dynamics: TreeDynamics) -> Solution:
-        """Accelerations from factors of masses beside rows."""
+        """Return the accelerations from a factorization of masses and rows."""
         c = self.coordinates
         if c.moves_on:
-            h = dynamics.needed([ca.SX(one) for one in c.lifted([ZERO] * c.nv)])
+            h = dynamics.needed([ca.SX(entry) for entry in c.lifted([ZERO] * c.nv)])
         else:
             h = dynamics.forces()
         forces = c.reduced([force - bias for force, bias in zip(self.tau, h, strict=True)])
         motion = ConstrainedMotion(
-            *(c.reduced_matrix(dynamics.mass), self.acting, c.nv),
+            *(c.reduced_matrix(dynamics.mass), self.active_rows, c.nv),
             *(self.slack, self.pushing, self.soft),
         )
-        rates = [-one for one in self.bias]
+        rates = [-entry for entry in self.bias]
         solve = motion.balanced if any(self.soft) else motion.solve
         return solve(forces, rates)
 
     def operations(self, results: Sequence[Any]) -> int:
-        """How many operations expressions take, common ones once."""
+        """Return the number of operations of expressions, with common subexpressions."""
         inputs = [*(self.symbols[key] for key in _ARGUMENTS), self.k.searches.symbols]
         expressions = ca.cse([ca.vertcat(*results)])
         return int(ca.Function("count", inputs, expressions).n_instructions())
@@ -184,7 +184,7 @@ class Equations(SymbolicSystem):
     def solved(self) -> tuple[list[Any], list[Any]]:
         """Accelerations of all joints, and multipliers of unilateral rows, SX scalars."""
         solution = self.chosen[1]
-        a = [ca.SX(one) for one in self.coordinates.lifted(solution.a)]
+        a = [ca.SX(entry) for entry in self.coordinates.lifted(solution.a)]
         return a, self.unilateral.multipliers(solution.lam[self.mh :])
 
     @property
@@ -196,33 +196,33 @@ class Equations(SymbolicSystem):
     def beside(
         self, rows: Rows, slack: Sequence[Any] = (), soft: Sequence[float] = ()
     ) -> ConstrainedMotion:
-        """Factors of masses beside rows."""
+        """Return the factorization of masses and rows."""
         mass = self.coordinates.reduced_matrix(self.chosen[0].mass)
         return ConstrainedMotion(mass, rows, self.nv, slack, soft=soft)
 
     def health(self, solution: Solution, *, has_switches: bool = False) -> Any:
-        """The smallest pivot of the rows over its usual size; 0 where a solution is not sound.
+        """Return the smallest pivot of the rows over its usual size; 0 for an unsound solution.
 
         Args:
-            solution: Beside rows, the unilateral ones last.
-            has_switches: Whether there are rows among them whose mode is an argument.
+            solution: Solution with rows, the unilateral ones last.
+            has_switches: Whether the mode of some rows is an argument.
         """
-        found, count = ca.SX(1.0), self.switches if has_switches else 0
+        smallest, count = ca.SX(1.0), self.switches if has_switches else 0
         off = self.slack if count else [ZERO] * len(solution.pivots)
         is_soft = [False] * len(off)
         if solution.sound is not None:
-            found = ca.fmin(solution.sound, self.unilateral.directed)
-            is_soft = [one > 0.0 for one in self.soft]
+            smallest = ca.fmin(solution.sound, self.unilateral.directed)
+            is_soft = [entry > 0.0 for entry in self.soft]
         if solution.pivots:
             usual = self._usual_pivots(solution.pivots, count).tolist()
             for i, pivot in enumerate(solution.pivots):
                 if not is_soft[i]:
                     share = pivot * (1.0 / usual[i] if usual[i] else 0.0)
-                    found = ca.fmin(found, share + off[i] * (1.0 - share))
-        return found
+                    smallest = ca.fmin(smallest, share + off[i] * (1.0 - share))
+        return smallest
 
     def _usual_pivots(self, pivots: Sequence[Any], switches: int) -> Array:
-        """Medians over configurations all over the range of the joints, at rest, shape (m,).
+        """Return the medians of pivots over the range of the joints, at rest, shape (m,).
 
         Args:
             pivots: Expressions of configuration and time.
@@ -238,8 +238,8 @@ class Equations(SymbolicSystem):
         ]
 
         def medians() -> Array:
-            found = np.array([np.array(evaluate(0.0, q, v, z, u, p)).ravel() for q in every])
-            return np.asarray(np.median(np.where(np.isfinite(found), found, 0.0), axis=0))
+            values = np.array([np.array(evaluate(0.0, q, v, z, u, p)).ravel() for q in every])
+            return np.asarray(np.median(np.where(np.isfinite(values), values, 0.0), axis=0))
 
         if switches:
             p[first:] = 1.0

@@ -40,9 +40,9 @@ def residual(
         dynamics: In axes of one's choice; by default those in which accelerations take the fewest
             operations.
     """
-    c, rows = equations.coordinates, equations.acting
-    whole = [ca.SX(one) for one in c.lifted(a)]
-    needed = (equations.chosen[0] if dynamics is None else dynamics).needed(whole)
+    c, rows = equations.coordinates, equations.active_rows
+    all_a = [ca.SX(entry) for entry in c.lifted(a)]
+    needed = (equations.chosen[0] if dynamics is None else dynamics).needed(all_a)
     left = c.reduced([n - t for n, t in zip(needed, equations.tau, strict=True)])
     ends = list(equations.bias)
     for i, row in enumerate(rows.J):
@@ -53,32 +53,32 @@ def residual(
 
 
 def derivatives(equations: Equations) -> list[Any]:
-    """Of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
-    solution, nv, m = equations.chosen[1], equations.nv, len(equations.acting.J)
+    """Derivatives of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
+    solution, nv, m = equations.chosen[1], equations.nv, len(equations.active_rows.J)
     columns = sum(equations.symbols[letter].shape[0] for letter in _BY)
     count = 8 * columns * nv  # at least, before any is made
-    held = None if count > _MOST else equations.beside(equations.acting)
-    count = count if held is None else held.size * columns
-    if held is None or count > _MOST:
+    factors = None if count > _MOST else equations.beside(equations.active_rows)
+    count = count if factors is None else factors.size * columns
+    if factors is None or count > _MOST:
         raise Untraceable(f"its derivatives take some {count} operations, accepted are {_MOST}")
     a, lam = ca.SX.sym("a", nv), ca.SX.sym("lam", m)
     r = residual(equations, scalars(a), scalars(lam))
-    found = []
+    tables = []
     for letter in _BY:
         by = equations.symbols[letter]
         slopes = in_tangent(equations, letter, ca.jacobian(r, by))
         rates = in_tangent(equations, letter, ca.jacobian(equations.rates, by))
-        given = [ca.vertcat(*solution.a), ca.vertcat(*solution.lam)]
-        slopes = ca.substitute([slopes], [a, lam], given)[0]
-        columns = [_solved(held, slopes[:, j], nv, m) for j in range(slopes.shape[1])]
+        values = [ca.vertcat(*solution.a), ca.vertcat(*solution.lam)]
+        slopes = ca.substitute([slopes], [a, lam], values)[0]
+        columns = [_solved(factors, slopes[:, j], nv, m) for j in range(slopes.shape[1])]
         top = ca.horzcat(*columns) if columns else ca.SX(nv, 0)
-        found.append(ca.vertcat(top, rates))
-    return found
+        tables.append(ca.vertcat(top, rates))
+    return tables
 
 
-def _solved(held: Any, slope: Any, nv: int, m: int) -> Any:
+def _solved(factors: Any, slope: Any, nv: int, m: int) -> Any:
     entries = [slope[i] if slope.sparsity().has_nz(i, 0) else ZERO for i in range(nv + m)]
-    solved = held.solve([-one for one in entries[:nv]], [-one for one in entries[nv:]])
+    solved = factors.solve([-entry for entry in entries[:nv]], [-entry for entry in entries[nv:]])
     return ca.vertcat(*solved.a)
 
 
@@ -95,8 +95,8 @@ def in_tangent(equations: Equations, letter: str, slopes: Any) -> Any:
             at, v = joint.idx_q, joint.idx_v
             x, y, z, w = ca.vertsplit(q[at + 3 : at + 7])
             tangent[at : at + 3, v : v + 3] = _square(rotation_of((x, y, z, w)))
-            turned = [[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]]
-            tangent[at + 3 : at + 7, v + 3 : v + 6] = 0.5 * _square(turned)
+            rates = [[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]]
+            tangent[at + 3 : at + 7, v + 3 : v + 6] = 0.5 * _square(rates)
     return slopes @ tangent
 
 
@@ -113,11 +113,11 @@ def balance(equations: Equations) -> list[Any]:
 def balance_slopes(equations: Equations) -> list[Any]:
     """Slopes of `balance`, stacked, by steps of q, by v and by z, each of shape (nv + nz, ..)."""
     both = ca.vertcat(*balance(equations))
-    found = []
+    slopes = []
     for letter in "qvz":
         by = ca.jacobian(both, equations.symbols[letter])
-        found.append(in_tangent(equations, letter, by))
-    return found
+        slopes.append(in_tangent(equations, letter, by))
+    return slopes
 
 
 def energy(equations: Equations) -> list[Any]:
@@ -130,6 +130,6 @@ def energy(equations: Equations) -> list[Any]:
     for number, link in enumerate(tree.links):
         place = k.place_of(number)
         moment = [link.inertia.m * p + h for p, h in zip(*place, strict=True)]
-        for g, one in zip(tree.gravity.tolist(), moment, strict=True):
-            potential -= g * one
+        for g, component in zip(tree.gravity.tolist(), moment, strict=True):
+            potential -= g * component
     return [kinetic, potential]

@@ -55,14 +55,14 @@ class SymbolicKinematics:
 
     def __init__(self, robot: Robot, tree: Tree, q: Any, v: Any) -> None:
         self._robot, self._tree = robot, tree
-        self._q, self._v = ([ca.SX(plain(one)) for one in given] for given in (q, v))
+        self._q, self._v = ([ca.SX(plain(entry)) for entry in given] for given in (q, v))
         self.frames = WorldFrames(tree, self._q, self._v)
         self._pairs: dict[int, SymbolicPairMotion] = {}
         self.searches = SearchedPaths()
 
     def position(self, point: Point) -> Any:
         """Where a point is, less `Robot.origin` [m], shape (3,)."""
-        return objects(self.frames.from_link(WORLD, *self.held(point)))
+        return objects(self.frames.from_link(WORLD, *self.link_and_offset(point)))
 
     def rotation(self, point: Point) -> Any:
         """From the axes of a point to those of the world, shape (3, 3)."""
@@ -70,13 +70,13 @@ class SymbolicKinematics:
 
     def velocity(self, point: Point) -> Any:
         """Velocity of a point [m/s], shape (3,)."""
-        link, offset = self.held(point)
+        link, offset = self.link_and_offset(point)
         moving = self.frames.motion(link)
         return objects(turns.plus(moving.velocity, turns.cross(moving.spin, offset)))
 
     def acceleration(self, point: Point) -> Any:
         """Second derivative of a position at zero joint acceleration [m/s^2], shape (3,)."""
-        link, offset = self.held(point)
+        link, offset = self.link_and_offset(point)
         moving = self.frames.motion(link)
         bent = turns.through(turns.bend(moving.spin, moving.turning), offset)
         return objects(turns.plus(moving.acceleration, bent))
@@ -89,7 +89,7 @@ class SymbolicKinematics:
         """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
         return self._columns(point, lambda v: v)
 
-    def own_jacobian(self, point: Point) -> Any:
+    def local_jacobian(self, point: Point) -> Any:
         """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
         to_own = turns.transposed(self.axes(point))
         return self._columns(point, lambda v: turns.through(to_own, v))
@@ -100,9 +100,9 @@ class SymbolicKinematics:
             self._pairs[pair.number] = SymbolicPairMotion(self, pair)
         return self._pairs[pair.number]
 
-    def carried(self, wrench: Any, a: Point, b: Point) -> Any:
+    def transform_wrench(self, wrench: Any, a: Point, b: Point) -> Any:
         """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,)."""
-        given = [ca.SX(plain(one)) for one in wrench]
+        given = [ca.SX(plain(entry)) for entry in wrench]
         R, to_b = self.axes(a), turns.transposed(self.axes(b))
         force, torque = (turns.through(R, tuple(part)) for part in (given[:3], given[3:]))
         about = turns.plus(torque, turns.cross(self.between(b, a), force))
@@ -110,13 +110,13 @@ class SymbolicKinematics:
 
     def gravity(self, q: Any) -> Any:
         """Generalized force that holds the robot still, shape (nv,)."""
-        at = [ca.SX(plain(one)) for one in q]
+        at = [ca.SX(plain(entry)) for entry in q]
         placed, still = in_own_axes(self._tree, at), [ZERO] * self._tree.nv
         on_links = needed(self._tree, placed, still, None, turns.vector(-self._tree.gravity))
         return objects(joint_forces(self._tree, placed, on_links))
 
-    def searched(self, path: Any, x: Any) -> Any:
-        """What a path finds by a search at a state, which is left to native code."""
+    def search_path(self, path: Any, x: Any) -> Any:
+        """Return the result of a path search at a state, which is left to native code."""
         return self.searches.taut(path, self, x)
 
     @cached_property
@@ -124,7 +124,7 @@ class SymbolicKinematics:
         """Size of a velocity."""
         return self._tree.nv
 
-    def held(self, point: Point) -> tuple[int, Vector]:
+    def link_and_offset(self, point: Point) -> tuple[int, Vector]:
         """The link that holds a point, and where from its origin, in axes of the world."""
         link, place = self._seen(point)
         axes = self.frames.axes(link)
@@ -146,7 +146,7 @@ class SymbolicKinematics:
 
     def between(self, a: Point, b: Point) -> Vector:
         """From point a to point b, in axes of the world."""
-        held_a, held_b = self.held(a), self.held(b)
+        held_a, held_b = self.link_and_offset(a), self.link_and_offset(b)
         below = self.frames.common(held_a[0], held_b[0])
         ends = (self.frames.from_link(below, *held) for held in (held_b, held_a))
         return turns.minus(*ends)
@@ -158,35 +158,35 @@ class SymbolicKinematics:
         return joint - 1, self._tree.links[joint - 1].seat.actInv(at)
 
     def _columns(self, point: Point, seen: Callable[[Vector], Vector]) -> Any:
-        whole = self.zeros((6, self._tree.nv))
-        for link, lever in self.frames.levers(*self.held(point)):
+        jacobian = self.zeros((6, self._tree.nv))
+        for link, lever in self.frames.levers(*self.link_and_offset(point)):
             first = self.frames.link(link).v
             for i, parts in enumerate(self.frames.columns(link, lever), first):
-                whole[:3, i], whole[3:, i] = (objects(seen(part)) for part in parts)
-        return whole
+                jacobian[:3, i], jacobian[3:, i] = (objects(seen(part)) for part in parts)
+        return jacobian
 
     @staticmethod
     def zeros(shape: Any) -> Any:
         """An array of zeros that takes symbols."""
-        found = np.empty(shape, dtype=object)
-        found.fill(0.0)
-        return found
+        array = np.empty(shape, dtype=object)
+        array.fill(0.0)
+        return array
 
     @classmethod
     def within(cls, values: Any, lower: Any, upper: Any) -> Any:
         """Values moved into their bounds, one pair for all or one a value."""
-        found = values.copy()
-        bounds = (np.broadcast_to(one, found.shape).tolist() for one in (lower, upper))
+        clamped = values.copy()
+        bounds = (np.broadcast_to(entry, clamped.shape).tolist() for entry in (lower, upper))
         for i, (low, high) in enumerate(zip(*bounds, strict=True)):
-            found[i] = found[i] if _is_open(low) else cls.maximum(found[i], low)
-            found[i] = found[i] if _is_open(high) else cls.minimum(found[i], high)
-        return found
+            clamped[i] = clamped[i] if _is_open(low) else cls.maximum(clamped[i], low)
+            clamped[i] = clamped[i] if _is_open(high) else cls.minimum(clamped[i], high)
+        return clamped
 
     @classmethod
     def choose(cls, least: Any, most: Any, first: Any, second: Any) -> Any:
         """Entry by entry the first value where `least` is not above `most`, else the second."""
-        columns = (cls.spread(one, len(least)) for one in (least, most, first, second))
-        chosen = [where(a <= b, one, other) for a, b, one, other in zip(*columns, strict=True)]
+        columns = (cls.spread(entry, len(least)) for entry in (least, most, first, second))
+        chosen = [where(a <= b, entry, other) for a, b, entry, other in zip(*columns, strict=True)]
         return np.array(chosen, dtype=object)
 
     @staticmethod
@@ -196,14 +196,14 @@ class SymbolicKinematics:
         return np.broadcast_to(given, count).tolist()
 
     @staticmethod
-    def row(one: Any) -> Any:
+    def row(entry: Any) -> Any:
         """A vector as the only row of a matrix, shape (1, n)."""
-        return one.reshape(1, -1)
+        return entry.reshape(1, -1)
 
     @staticmethod
     def any(values: Any) -> bool:
         """Whether a value is not zero; where nobody can know, it may be so."""
-        return any(isinstance(one, Scalar) or one != 0.0 for one in values.tolist())
+        return any(isinstance(entry, Scalar) or entry != 0.0 for entry in values.tolist())
 
     @staticmethod
     def hypot(line: Any) -> Any:
@@ -224,10 +224,10 @@ class SymbolicKinematics:
         """Both where nobody knows which; of tuples entry by entry."""
         if not isinstance(condition, Scalar):
             return first() if condition else second()
-        one, other = first(), second()
-        if not isinstance(one, tuple):
-            return where(condition, one, other)
-        return tuple(where(condition, *both) for both in zip(one, other, strict=True))
+        entry, other = first(), second()
+        if not isinstance(entry, tuple):
+            return where(condition, entry, other)
+        return tuple(where(condition, *both) for both in zip(entry, other, strict=True))
 
 
 def _is_open(bound: Any) -> bool:
@@ -253,8 +253,8 @@ class SymbolicPairMotion:
     def rotation(self) -> Any:
         """From the axes of b to those of a, shape (3, 3)."""
         columns = turns.transposed(self._k.axes(self._pair.b))
-        turned = [turns.through(self._to_a, column) for column in columns]
-        return matrix(turns.transposed(tuple(turned)))  # type: ignore[arg-type]
+        rotated = [turns.through(self._to_a, column) for column in columns]
+        return matrix(turns.transposed(tuple(rotated)))  # type: ignore[arg-type]
 
     def pose(self) -> Any:
         """Rotation and origin of b in the axes of a."""
@@ -271,8 +271,8 @@ class SymbolicPairMotion:
     def jacobian(self, placed: Any, rows: Any) -> Any:
         """From joint velocities to rows of the velocity, shape (m, nv)."""
         k, (_, a, b, signs) = self._k, self._pair
-        frames, whole = k.frames, k.zeros((6, k.nv))
-        (on_a, _), (on_b, offset) = k.held(a), k.held(b)
+        frames, jacobian = k.frames, k.zeros((6, k.nv))
+        (on_a, _), (on_b, offset) = k.link_and_offset(a), k.link_and_offset(b)
         below = frames.common(on_a, on_b)
         from_below = frames.from_link(below, on_b, offset)
         levers = list(frames.levers(on_b, offset, below))
@@ -285,8 +285,8 @@ class SymbolicPairMotion:
             first = frames.link(link).v
             for i, parts in enumerate(frames.columns(link, lever), first):
                 seen = [objects(turns.through(self._to_a, part)) for part in parts]
-                whole[:, i] = np.concatenate(seen) * float(signs[i])
-        return whole[rows]
+                jacobian[:, i] = np.concatenate(seen) * float(signs[i])
+        return jacobian[rows]
 
     def acceleration(self, placed: Any) -> Any:
         """Second derivative of the offset at zero joint acceleration, shape (3,)."""
@@ -294,29 +294,31 @@ class SymbolicPairMotion:
 
     def motion(self, placed: Any) -> tuple[Any, Any, Any]:
         """Acceleration of the offset, angular velocity and its derivative, shape (3,) each."""
-        _, a, omega, alpha = self.moving(placed)
+        _, a, omega, alpha = self.velocity_and_motion(placed)
         return a, omega, alpha
 
-    def moving(self, placed: Any) -> tuple[Any, Any, Any, Any]:
+    def velocity_and_motion(self, placed: Any) -> tuple[Any, Any, Any, Any]:
         """The velocity of the origin of b, then what `motion` gives, shape (3,) each."""
         seen = (objects(turns.through(self._to_a, part)) for part in self._relative())
         v, a, omega, alpha = seen
         return v, a, omega, alpha
 
-    def along(
+    def directional_derivative(
         self, function: OfPose, pose: Pose, rates: Pose
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Values of a function of a pose, and their rates by its derivatives."""
         at, along = ca.SX.sym("at", 12), ca.SX.sym("along", 12)
         rotation, translation = numbers(at[:9]).reshape(3, 3), numbers(at[9:])
-        found = [np.asarray(one, dtype=object) for one in function(Pose(rotation, translation))]
-        values = column(np.concatenate([one.ravel() for one in found]))
+        results = [
+            np.asarray(entry, dtype=object) for entry in function(Pose(rotation, translation))
+        ]
+        values = column(np.concatenate([entry.ravel() for entry in results]))
         slopes = ca.jtimes(values, at, along)
-        asked = ca.Function("along", [at, along], [ca.densify(values), ca.densify(slopes)])
-        answers = asked(
-            *(column([*one.rotation.ravel(), *one.translation]) for one in (pose, rates))
+        derivative = ca.Function("along", [at, along], [ca.densify(values), ca.densify(slopes)])
+        answers = derivative(
+            *(column([*entry.rotation.ravel(), *entry.translation]) for entry in (pose, rates))
         )
-        first, second = (_like(found, numbers(answer)) for answer in answers)
+        first, second = (_like(results, numbers(answer)) for answer in answers)
         return first, second
 
     def _relative(self) -> tuple[Vector, Vector, Vector, Vector]:
@@ -326,7 +328,10 @@ class SymbolicPairMotion:
         that an observer on a sees is v' - w_a x v.
         """
         k, frames = self._k, self._k.frames
-        (on_a, at_a), (on_b, at_b) = k.held(self._pair.a), k.held(self._pair.b)
+        (on_a, at_a), (on_b, at_b) = (
+            k.link_and_offset(self._pair.a),
+            k.link_and_offset(self._pair.b),
+        )
         a, b = frames.motion(on_a), frames.motion(on_b)
         there = plus(at_a, k.between(self._pair.a, self._pair.b))  # from the origin of a
         moved = minus(_velocity(b, at_b), _velocity(a, there))
@@ -339,9 +344,9 @@ class SymbolicPairMotion:
 
 def _like(shapes: list[Any], flat: Any) -> tuple[Any, ...]:
     """Arrays of given shapes out of one column."""
-    ends = np.cumsum([one.size for one in shapes])
+    ends = np.cumsum([entry.size for entry in shapes])
     parts = np.split(flat, ends[:-1])
-    return tuple(part.reshape(one.shape) for part, one in zip(parts, shapes, strict=True))
+    return tuple(part.reshape(entry.shape) for part, entry in zip(parts, shapes, strict=True))
 
 
 def _velocity(moving: Any, offset: Vector) -> Vector:

@@ -35,7 +35,7 @@ class Scalar:
 
     def __add__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: self + one)
+            return _each(other, lambda entry: self + entry)
         if _is(other, 0.0):
             return self
         return other if _is_infinite(other) else number(self.sx + plain(other))
@@ -45,21 +45,21 @@ class Scalar:
 
     def __sub__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: self - one)
+            return _each(other, lambda entry: self - entry)
         if _is(other, 0.0):
             return self
         return -other if _is_infinite(other) else number(self.sx - plain(other))
 
     def __rsub__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: one - self)
+            return _each(other, lambda entry: entry - self)
         if _is(other, 0.0):
             return -self
         return other if _is_infinite(other) else number(plain(other) - self.sx)
 
     def __mul__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: self * one)
+            return _each(other, lambda entry: self * entry)
         if _is(other, 0.0):
             return 0.0
         return self if _is(other, 1.0) else number(self.sx * plain(other))
@@ -69,12 +69,12 @@ class Scalar:
 
     def __truediv__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: self / one)
+            return _each(other, lambda entry: self / entry)
         return self if _is(other, 1.0) else number(self.sx / plain(other))
 
     def __rtruediv__(self, other: Any) -> Any:
         if isinstance(other, np.ndarray):
-            return _each(other, lambda one: one / self)
+            return _each(other, lambda entry: entry / self)
         return 0.0 if _is(other, 0.0) else number(plain(other) / self.sx)
 
     def __pow__(self, other: Any) -> Any:
@@ -155,15 +155,15 @@ class Scalar:
 
 
 def _each(array: Any, rule: Callable[[Any], Any]) -> Any:
-    return _filled(array.shape, (rule(one) for one in array.ravel().tolist()))
+    return _filled(array.shape, (rule(entry) for entry in array.ravel().tolist()))
 
 
 def _filled(shape: tuple[int, ...], values: Iterable[Any]) -> Any:
-    found = np.empty(shape, dtype=object)
-    flat = found.reshape(-1)
+    result = np.empty(shape, dtype=object)
+    flat = result.reshape(-1)
     for i, value in enumerate(values):
         flat[i] = value
-    return found
+    return result
 
 
 def _is(value: Any, known: float) -> bool:
@@ -181,7 +181,7 @@ def number(sx: Any) -> Number:
 
 
 def plain(value: Any) -> Any:
-    """What CasADi calculates with."""
+    """Return the form with which CasADi calculates."""
     if isinstance(value, Scalar):
         return value.sx
     return value.item() if isinstance(value, np.generic | np.ndarray) else value
@@ -192,9 +192,9 @@ def where(condition: Any, first: Any, second: Any) -> Any:
     if not isinstance(condition, Scalar):
         return first if condition else second
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        one, other = np.broadcast_arrays(first, second)
-        pairs = zip(one.ravel(), other.ravel(), strict=True)
-        return _filled(one.shape, (where(condition, a, b) for a, b in pairs))
+        entry, other = np.broadcast_arrays(first, second)
+        pairs = zip(entry.ravel(), other.ravel(), strict=True)
+        return _filled(entry.shape, (where(condition, a, b) for a, b in pairs))
     a, b = plain(first), plain(second)
     if not isinstance(first, Scalar) and not isinstance(second, Scalar) and a == b:
         return first
@@ -203,10 +203,10 @@ def where(condition: Any, first: Any, second: Any) -> Any:
 
 def numbers(column: Any) -> Any:
     """A CasADi column as a numpy vector of objects."""
-    found = np.empty(column.shape[0], dtype=object)
-    for i, one in enumerate(scalars(column)):
-        found[i] = number(one)
-    return found
+    result = np.empty(column.shape[0], dtype=object)
+    for i, entry in enumerate(scalars(column)):
+        result[i] = number(entry)
+    return result
 
 
 def scalars(column: Any) -> list[Any]:
@@ -222,12 +222,12 @@ def column(values: Iterable[Number]) -> Any:
 def function(casadi: Callable[..., Any], known: Callable[..., float]) -> Callable[..., Any]:
     """A function of numbers that may be symbols."""
 
-    def asked(*values: Any) -> Any:
+    def evaluate(*values: Any) -> Any:
         if any(isinstance(value, Scalar) for value in values):
             return number(casadi(*(ca.SX(plain(value)) for value in values)))
         return known(*values)
 
-    return asked
+    return evaluate
 
 
 def matrix(rows: Matrix) -> Any:
@@ -237,7 +237,7 @@ def matrix(rows: Matrix) -> Any:
 
 def objects(values: Sequence[Any]) -> Any:
     """Expressions as a vector of numbers."""
-    found = np.empty(len(values), dtype=object)
+    result = np.empty(len(values), dtype=object)
     for i, value in enumerate(values):
-        found[i] = number(value)
-    return found
+        result[i] = number(value)
+    return result

@@ -32,13 +32,13 @@ class SearchedPaths:
     """
 
     def __init__(self) -> None:
-        self._found: dict[int, SearchedPath] = {}
+        self._searched: dict[int, SearchedPath] = {}
 
     def __len__(self) -> int:
-        return len(self._found)
+        return len(self._searched)
 
     def __iter__(self) -> Iterator[SearchedPath]:
-        return iter(self._found.values())
+        return iter(self._searched.values())
 
     @property
     def symbols(self) -> Any:
@@ -47,7 +47,7 @@ class SearchedPaths:
 
     @property
     def places(self) -> Any:
-        """What the search needs, a column."""
+        """Inputs of the search, a column."""
         return ca.vertcat(*(entry for one in self for entry in one.places))
 
     def taut(self, path: Any, k: Any, x: Any) -> Taut:
@@ -56,16 +56,16 @@ class SearchedPaths:
         Raises:
             Untraceable: Native code does not know one of its surfaces.
         """
-        if id(path) not in self._found:
+        if id(path) not in self._searched:
             for wrap in path.wraps:
                 if type(wrap.surface) not in SURFACES:
                     kind = type(wrap.surface).__name__.lower()
                     raise Untraceable(f"its path wraps over '{wrap.name}', a {kind}")
             size = 1 + 3 * len(path.points) + 6 * len(path.wraps)
-            symbols = ca.SX.sym(f"path{len(self._found)}_", size)
-            self._found[id(path)] = SearchedPath(path, symbols, _places(path, k, x))
-        found, middle = numbers(self._found[id(path)].symbols), 1 + 3 * len(path.points)
-        return Taut(found[0], found[1:middle].reshape(-1, 3), found[middle:].reshape(-1, 6))
+            symbols = ca.SX.sym(f"path{len(self._searched)}_", size)
+            self._searched[id(path)] = SearchedPath(path, symbols, _places(path, k, x))
+        values, middle = numbers(self._searched[id(path)].symbols), 1 + 3 * len(path.points)
+        return Taut(values[0], values[1:middle].reshape(-1, 3), values[middle:].reshape(-1, 6))
 
 
 def _places(path: Any, k: Any, x: Any) -> list[Any]:

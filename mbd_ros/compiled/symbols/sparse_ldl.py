@@ -51,8 +51,8 @@ class SparseLdl:
             touched = sorted(i for i in rows[k] if i in left)
             self._columns[k] = [(i, share * rows[i][k]) for i in touched]
             self._beside[k] = [
-                (i, own if rows[i][k] is rows[k][i] else share * rows[k][i])
-                for i, own in self._columns[k]
+                (i, lower if rows[i][k] is rows[k][i] else share * rows[k][i])
+                for i, lower in self._columns[k]
             ]
             self._eliminate(k)
 
@@ -61,10 +61,10 @@ class SparseLdl:
         rows, column = self._rows, self._columns[k]
         for at, (i, factor) in enumerate(column):
             for j, other in column[at:]:
-                own, across = rows[i].get(j, _ZERO), rows[j].get(i, _ZERO)
-                is_same = own is across or i == j
+                lower, across = rows[i].get(j, _ZERO), rows[j].get(i, _ZERO)
+                is_same = lower is across or i == j
                 is_same = is_same and rows[i][k] is rows[k][i] and rows[j][k] is rows[k][j]
-                rows[i][j] = value = own - factor * rows[k][j]
+                rows[i][j] = value = lower - factor * rows[k][j]
                 if i != j:
                     rows[j][i] = value if is_same else across - other * rows[k][i]
 
@@ -124,7 +124,7 @@ def elimination_order(
     left, order = set(range(size)), list[int]()
     while left:
         free = [row for row in left if not waits.get(row)]
-        row = min(free, key=lambda one: (len(beside[one]), -one))
+        row = min(free, key=lambda node: (len(beside[node]), -node))
         order.append(row)
         left.discard(row)
         for other in beside[row]:

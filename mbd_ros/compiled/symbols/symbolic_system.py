@@ -53,13 +53,13 @@ class SymbolicSystem:
         in_world: bool = False,
     ) -> None:
         self.system, self.parameters, self.tier = system, parameters, system.tier
-        self.switches = len(system.exact.names) if mode is None and system.exact else 0
+        self.switches = len(system.event_rows.names) if mode is None and system.event_rows else 0
         p = ca.SX.sym("p", len(parameters) + self.switches)
         self._symbolic = parts_of(made, parameters, p[: len(parameters)])
         self.tree = self._with_drive_inertias(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
-        self.mg, self.mh = len(system.rows), len(system.held.rows)
+        self.mg, self.mh = len(system.rows), len(system.bilateral.rows)
         sizes = {"t": 1, "q": self.nq, "v": self.nv, "z": self.nz, "u": self.nu}
         sizes |= {"d": self.nv, "a": self.nv}
         self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
@@ -76,26 +76,33 @@ class SymbolicSystem:
         inside = self.k.within(z, internals.lower, internals.upper)
         self.x = State(t[0], c.q, c.v, inside, mode or ())
 
-    def own(self, part: Any) -> Any:
-        """The part with symbols for its parameters; itself where it has none."""
+    def with_symbols(self, part: Any) -> Any:
+        """Return a part with symbols for its parameters; the part itself if it has none."""
         return self._symbolic.get(part.name, part)
 
     @cached_property
     def loads(self) -> list[Any]:
         """Actuators, then forces."""
-        return [self.own(one) for one in (*self.system.loads.actuators, *self.system.loads.forces)]
+        return [
+            self.with_symbols(part)
+            for part in (*self.system.loads.actuators, *self.system.loads.forces)
+        ]
 
-    def blocks(self, given: Sequence[RowBlock]) -> list[RowBlock]:
-        """Blocks of rows, with symbols for the parameters of their parts."""
-        return [with_part(block, self.own(block.part)) for block in given]
+    def blocks(self, blocks: Sequence[RowBlock]) -> list[RowBlock]:
+        """Return blocks of rows with symbols for the parameters of their parts."""
+        return [with_part(block, self.with_symbols(block.part)) for block in blocks]
 
     def _with_drive_inertias(self, tree: Tree) -> Tree:
-        """The tree with what parameters change of the inertia of drives."""
-        changed = [one for one in self.system.loads.actuators if one.name in self._symbolic]
+        """Return the tree with drive inertias that depend on parameters."""
+        changed = [
+            actuator for actuator in self.system.loads.actuators if actuator.name in self._symbolic
+        ]
         armature: Any = self.system.model.armature.astype(object)
-        for one in changed:
-            with tracing(one):
-                armature = armature + (self.own(one).armature() - one.armature())
+        for actuator in changed:
+            with tracing(actuator):
+                armature = armature + (
+                    self.with_symbols(actuator).armature() - actuator.armature()
+                )
         return with_armature(tree, [plain(each) for each in armature]) if changed else tree
 
     @cached_property
@@ -103,12 +110,12 @@ class SymbolicSystem:
         """The chart of what is integrated."""
         return (WorldChart if self.axes else CurvedChart)(self.system.chart.model)
 
-    def moving(self, way: Sequence[Any]) -> Any:
-        """A small motion of what is integrated, or a change of its velocity, a column."""
-        return ca.vertcat(*(self.axes.in_world(way) if self.axes else way))
+    def moving(self, motion: Sequence[Any]) -> Any:
+        """Return a tangent step or a velocity change in integrated coordinates, a column."""
+        return ca.vertcat(*(self.axes.in_world(motion) if self.axes else motion))
 
     def speeding(self, a: Sequence[Any]) -> Any:
-        """Rates of the velocities that are integrated, a column."""
+        """Return the rates of the integrated velocities, a column."""
         v = scalars(self.symbols["v"])
         return ca.vertcat(*(self.axes.rate(a, v) if self.axes else a))
 
@@ -119,25 +126,25 @@ class SymbolicSystem:
 
     @property
     def velocity(self) -> list[Any]:
-        """Of all joints, SX scalars."""
+        """Velocities of all joints, SX scalars."""
         return scalars(self.column_of_velocity)
 
 
 def parts_of(made: Made, parameters: Sequence[str], p: Any) -> Mapping[str, Any]:
-    """Parts of symbols by name; none without parameters."""
+    """Return parts with symbolic parameters by name; none without parameters."""
     if not parameters:
         return {}
-    given = dict(zip(parameters, numbers(p), strict=True))
+    values = dict(zip(parameters, numbers(p), strict=True))
     with tracing(", ".join(parameters)):
-        return made(given)
+        return made(values)
 
 
 def with_part(block: RowBlock, part: Any) -> RowBlock:
-    """A block of rows of another part of the same form."""
+    """Return a block with the rows of another part of the same form."""
     if part is block.part:
         return block
-    given: Any = (np.asarray(one, dtype=object) for one in part.gains)
-    gains = tuple(np.broadcast_to(one, len(block.rows)) for one in given)
+    part_gains: Any = (np.asarray(gain, dtype=object) for gain in part.gains)
+    gains = tuple(np.broadcast_to(gain, len(block.rows)) for gain in part_gains)
     if not any(map(np.any, block.gains)):  # rows that are on exactly
         gains = block.gains
     return block._replace(part=part, law=part.law, gains=gains)
@@ -178,37 +185,37 @@ class Coordinates:
             self._slope[child_v] = slope * self._slope[parent_v]
 
     def reduced(self, tau: Any) -> list[Any]:
-        """G' tau, from SX scalars to SX scalars."""
-        found: list[Any] = [0.0] * self.nv
+        """Return G' tau, from SX scalars to SX scalars."""
+        reduced: list[Any] = [0.0] * self.nv
         for force, i, slope in zip(tau, self._column, self._slope, strict=True):
-            found[i] = found[i] + plain(slope) * force
-        return found
+            reduced[i] = reduced[i] + plain(slope) * force
+        return reduced
 
     def reduced_row(self, row: dict[int, Any]) -> dict[int, Any]:
-        """The row J G of a row of J: entries by velocity."""
-        found: dict[int, Any] = {}
+        """Return the row J G of a row of J, as entries by velocity."""
+        reduced: dict[int, Any] = {}
         for j, value in row.items():
             column, share = self._column[j], plain(self._slope[j]) * value
-            found[column] = found[column] + share if column in found else share
-        return found
+            reduced[column] = reduced[column] + share if column in reduced else share
+        return reduced
 
     def reduced_matrix(self, M: Entries) -> Entries:
-        """G' M G, of lower triangles of SX scalars."""
-        found: Entries = {}
+        """Return G' M G, in lower triangles of SX scalars."""
+        reduced: Entries = {}
         for (i, j), value in M.items():
             I, J = self._column[i], self._column[j]  # noqa: E741
             at = max(I, J), min(I, J)
             twice = 2.0 if i != j and I == J else 1.0
             share = plain(self._slope[i] * self._slope[j]) * twice * value
-            found[at] = found[at] + share if at in found else share
-        return found
+            reduced[at] = reduced[at] + share if at in reduced else share
+        return reduced
 
     def lifted(self, a: Any) -> list[Any]:
-        """G y'' + drift: accelerations of all joints, SX scalars or floats."""
+        """Return G y'' + drift, the accelerations of all joints, SX scalars or floats."""
         pairs = zip(self._column, self._slope, self.drift, strict=True)
         return [plain(slope) * a[column] + plain(drift) for column, slope, drift in pairs]
 
     @property
     def moves_on(self) -> bool:
-        """Whether a drift exists: a coupling bends."""
-        return any(isinstance(one, Scalar) or one != 0.0 for one in self.drift)
+        """Whether a coupling is nonlinear, so that there is a drift."""
+        return any(isinstance(value, Scalar) or value != 0.0 for value in self.drift)

@@ -176,12 +176,12 @@ class Traced:
 
 def _dense(result: Any) -> Any:
     """A result whose columns are there even where they are empty."""
-    found = ca.densify(ca.SX(result))
-    return found if found.shape[1] else ca.SX(found.shape[0], 1)
+    results = ca.densify(ca.SX(result))
+    return results if results.shape[1] else ca.SX(results.shape[0], 1)
 
 
 class Expressions:
-    """What the functions of a traced system give, one method a function."""
+    """Results of the functions of a traced system, one method for each function."""
 
     def __init__(self, equations: Equations) -> None:
         self._equations = equations
@@ -190,8 +190,8 @@ class Expressions:
         """Accelerations, rates of internal states, health; multipliers if rows switch."""
         e = self._equations
         solution = e.chosen[1]
-        found = [e.speeding(solution.a), e.rates, e.health(solution, has_switches=True)]
-        return [*found, ca.vertcat(*solution.lam)] if e.switches else found
+        results = [e.speeding(solution.a), e.rates, e.health(solution, has_switches=True)]
+        return [*results, ca.vertcat(*solution.lam)] if e.switches else results
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""
@@ -241,46 +241,46 @@ class Expressions:
         """A step of Newton's method onto the gaps that are on, and their g."""
         e, rows = self._equations, self._switched
         chosen = rows.of(Reach.GAP)
-        on, held = rows.masked(chosen), e.held.of(Level.POSITION)
+        on, held = rows.masked(chosen), e.rigid_rows.of(Level.POSITION)
         a = self._moved(held, on, chosen, on.g)
         return [e.moving(a), ca.vertcat(*on.g)]
 
     def stay(self) -> list[Any]:
-        """What ends the g' of rows that are on, and these."""
+        """Return the velocity change that ends the g' of active rows, and these rates."""
         e, rows = self._equations, self._switched
         chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
-        a = self._moved(e.held, rows.masked(chosen), chosen, left)
+        a = self._moved(e.rigid_rows, rows.masked(chosen), chosen, left)
         return [e.moving(a), ca.vertcat(*left)]
 
     def _moved(
-        self, held: Rows, on: Rows, chosen: Sequence[int], left: Sequence[Any]
+        self, rigid: Rows, on: Rows, chosen: Sequence[int], left: Sequence[Any]
     ) -> list[Any]:
         """The smallest motion that ends what is left of chosen rows and moves no rigid one."""
-        e, still = self._equations, [ZERO] * len(held.J)
+        e, still = self._equations, [ZERO] * len(rigid.J)
         slack, soft = [*still, *self._switched.slack_of(chosen)], list[float]()
         if e.soft:
             soft = [*[0.0] * len(still), *(e.soft[e.mh + i] for i in chosen)]
-        factors = e.beside(held.beside(on), slack, soft)
+        factors = e.beside(rigid.beside(on), slack, soft)
         return factors.solve([ZERO] * e.nv, [*still, *(-one for one in left)]).a
 
     @property
     def _switched(self) -> SwitchedRows:
         rows = self._equations.unilateral
         if not isinstance(rows, SwitchedRows):
-            raise Untraceable("rows that give way are looked at where all modes are traced")
+            raise Untraceable("unilateral and bounded constraints need a trace of all modes")
         return rows
 
     def _part_guards(self) -> list[Any]:
         e = self._equations
         a, lam = self.multipliers()
-        now, found = (numbers(one) for one in (a, lam)), list[Any]()
+        now, results = (numbers(one) for one in (a, lam)), list[Any]()
         a, lam = now
-        for part, slots in ((e.own(part), slots) for part, slots in guarding(e.system)):
+        for part, slots in ((e.with_symbols(part), slots) for part, slots in guarding(e.system)):
             with tracing(part):
                 values = part.guard_values(e.k, e.x, e.u, Now(a, lam[slots]))
-                found += scalars(column(values))
-        return found
+                results += scalars(column(values))
+        return results
 
     def expand(self) -> list[Any]:
         """All positions and velocities."""
@@ -290,26 +290,26 @@ class Expressions:
     def place(self) -> list[Any]:
         """A step of Newton's method onto the rows of positions, their g, and their health."""
         e = self._equations
-        rows = e.held.of(Level.POSITION)
+        rows = e.rigid_rows.of(Level.POSITION)
         solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
         return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
 
     def settle(self) -> list[Any]:
-        """What leads velocities onto the rows, and the rates that are left."""
+        """Return the correction of velocities onto the rows, and the remaining rates."""
         e = self._equations
-        rates = e.held.velocities(e.velocity)
-        solution = e.beside(e.held).solve([ZERO] * e.nv, [-one for one in rates])
+        rates = e.rigid_rows.velocities(e.velocity)
+        solution = e.beside(e.rigid_rows).solve([ZERO] * e.nv, [-one for one in rates])
         return [e.moving(solution.a), ca.vertcat(*rates)]
 
     def gap(self) -> list[Any]:
         """The g of the rows of positions."""
         e = self._equations
-        return [ca.vertcat(*e.held.of(Level.POSITION).g)]
+        return [ca.vertcat(*e.rigid_rows.of(Level.POSITION).g)]
 
     def lift(self) -> list[Any]:
         """M^-1 J' (J M^-1 J')^-1 of the rows of positions, shape (nv, mg), and their health."""
         e = self._equations
-        rows = e.held.of(Level.POSITION)
+        rows = e.rigid_rows.of(Level.POSITION)
         held, zero = e.beside(rows), [ZERO] * e.nv
         ones = [[ca.SX(float(i == j)) for i in range(e.mg)] for j in range(e.mg)]
         solutions = [held.solve(zero, one) for one in ones]
@@ -318,7 +318,7 @@ class Expressions:
         return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), share]
 
     def path_places(self) -> list[Any]:
-        """What the search of paths that wrap needs."""
+        """Return the inputs of the search of wrapping paths."""
         return [self._equations.k.searches.places]
 
     def integrate(self) -> list[Any]:
@@ -336,7 +336,7 @@ class Expressions:
         return implicit.derivatives(self._equations)
 
     def residual(self) -> list[Any]:
-        """What the equations of motion leave of given accelerations and multipliers."""
+        """Return the residual of the equations of motion for accelerations and multipliers."""
         e = self._equations
         a, lam = (scalars(e.symbols[key]) for key in "al")
         return [implicit.residual(e, a, lam)]

@@ -61,25 +61,27 @@ class UnilateralRows:
     def __init__(self, system: SymbolicSystem, mode: Mode) -> None:
         self._trace_rows(system)
         if len(mode) < len(self._reach):
-            raise Untraceable("rows that give way have a form in a mode only")
+            raise Untraceable(
+                "unilateral and bounded constraints have a symbolic form only in a given mode"
+            )
         self._mode = mode[: len(self._reach)]
-        if not all(abs(way) <= 1 for way in self._mode) or any(
+        if not all(abs(entry) <= 1 for entry in self._mode) or any(
             not self._mode[i] and any(self._mode[i + 1 : i + 3]) for i in self._mu
         ):
             raise Untraceable("contacts that slip have no form in their mode")
-        chosen = [i for i, way in enumerate(self._mode) if way == 0]
+        chosen = [i for i, entry in enumerate(self._mode) if entry == 0]
         self.on = self._rows.only(chosen).reduced(self._coordinates)
         self.bias = [self._biased(i) for i in chosen]
 
     def _trace_rows(self, system: SymbolicSystem) -> None:
-        """What all modes share."""
-        bounded, event_driven = system.system.bounded, system.system.exact
+        """Trace what all modes share."""
+        bounded, event_driven = system.system.bounded, system.system.event_rows
         if bounded is not None:
             name = bounded.constraints.rows[0].name
             raise Untraceable(f"row {name} is smoothed: its bounds are solved for everywhere")
         self._reach: Sequence[Reach] = () if event_driven is None else event_driven.reach
-        given = () if event_driven is None else event_driven.solver.constraints.blocks
-        blocks = system.blocks(given)
+        symbolic_blocks = () if event_driven is None else event_driven.solver.constraints.blocks
+        blocks = system.blocks(symbolic_blocks)
         self._coordinates = system.coordinates
         self._mu = _frictions(blocks)
         self._rows = rows_of(blocks, system.k, system.x)
@@ -95,29 +97,29 @@ class UnilateralRows:
 
     def _biased(self, i: int) -> Any:
         drift = self._coordinates.drift
-        own = (value * plain(drift[j]) for j, value in self._rows.J[i].items())
-        return self._conditions[i] + sum(own)
+        terms = (value * plain(drift[j]) for j, value in self._rows.J[i].items())
+        return self._conditions[i] + sum(terms)
 
     def gaps(self) -> dict[int, Any]:
-        """What one-sided rows of positions keep from becoming negative, by their slots.
+        """Return the gaps, which one-sided rows keep from becoming negative, by their slots.
 
         Raises:
             Untraceable: Another row, whose force jumps with a slip or a limit.
         """
-        found = {}
+        gaps = {}
         for i, reach in enumerate(self._reach):
             if reach is Reach.GAP:
-                found[self.slots[i]] = self._rows.g[i]
+                gaps[self.slots[i]] = self._rows.g[i]
             elif reach is not Reach.FRICTION or (i - 1 not in self._mu and i - 2 not in self._mu):
                 raise Untraceable("its force jumps, and has no slope there")
-        return found
+        return gaps
 
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
-        """Of all these rows, SX scalars, from those of the rows that are on."""
+        """Return the multipliers of all rows, SX scalars, from those of active rows."""
         solved = iter(lam)
         return [
-            next(solved) if not way else (self._lower if way == 1 else self._upper)[i]
-            for i, way in enumerate(self._mode)
+            next(solved) if not entry else (self._lower if entry == 1 else self._upper)[i]
+            for i, entry in enumerate(self._mode)
         ]
 
     def pushes(self, lam: Sequence[Any]) -> list[Any]:
@@ -133,59 +135,59 @@ class UnilateralRows:
         return self.pushes(self.multipliers([ZERO] * len(self.on.J)))
 
     def margins(self, a: Sequence[Any], lam: Sequence[Any], v: Sequence[Any]) -> dict[Margin, Any]:
-        """What is positive while the mode goes on, by row, as `ModeField.margins`.
+        """Return the margins, positive while the mode lasts, by row, see `ModeField.margins`.
 
         Args:
             a: Accelerations of all joints, SX scalars.
             lam: Multipliers of these rows.
             v: Velocity of all joints.
         """
-        found: dict[Margin, Any] = {}
+        margins: dict[Margin, Any] = {}
         rates = self._rows.velocities(v)
-        for i, (way, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
+        for i, (entry, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
             if reach is Reach.FRICTION:
-                if not way and i - 1 in self._mu:
-                    found[i, 1] = self._grip(i - 1, lam)
-            elif not way:
+                if not entry and i - 1 in self._mu:
+                    margins[i, 1] = self._grip(i - 1, lam)
+            elif not entry:
                 if not is_open(self._lower[i]):
-                    found[i, 1] = lam[i] - self._lower[i]
+                    margins[i, 1] = lam[i] - self._lower[i]
                 if not is_open(self._upper[i]):
-                    found[i, -1] = self._upper[i] - lam[i]
+                    margins[i, -1] = self._upper[i] - lam[i]
             elif reach is Reach.DEMAND:
                 left = sum((value * a[j] for j, value in self._rows.J[i].items()), ZERO)
-                found[i, 0] = way * (left + self._conditions[i])
+                margins[i, 0] = entry * (left + self._conditions[i])
             else:
-                found[i, 0] = way * (self._rows.g[i] if reach is Reach.GAP else rates[i])
-        return found
+                margins[i, 0] = entry * (self._rows.g[i] if reach is Reach.GAP else rates[i])
+        return margins
 
     def _grip(self, normal: int, lam: Sequence[Any]) -> Any:
-        """What is left of friction that sticks to its largest, by the row of the normal."""
+        """Return the margin of sticking friction to its limit, by the row of the normal."""
         push, x, y = lam[normal : normal + 3]
         return self._mu[normal] * push - ca.sqrt(x * x + y * y)
 
 
 def _frictions(blocks: Sequence[Any]) -> dict[int, float]:
     """Coefficients of contacts, by the rows of their normals."""
-    first, found = 0, dict[int, float]()
+    first, coefficients = 0, dict[int, float]()
     for block in blocks:
-        found |= {cone.slots.start: float(cone.mu) for cone in block.cones(first)}
+        coefficients |= {cone.slots.start: float(cone.mu) for cone in block.cones(first)}
         first += len(block.rows)
-    return found
+    return coefficients
 
 
 def _bounds(blocks: Sequence[Any], k: Any, x: Any) -> tuple[list[Any], list[Any]]:
     """Smallest and largest multipliers of all rows."""
-    found: tuple[list[Any], list[Any]] = [], []
+    bounds: tuple[list[Any], list[Any]] = [], []
     for block in blocks:
         if block.law.kind is Kind.CONE:  # friction depends on the normal
-            found[0].extend([ZERO] * len(block.rows))
-            found[1].extend([ca.SX(math.inf), ZERO, ZERO] * (len(block.rows) // 3))
+            bounds[0].extend([ZERO] * len(block.rows))
+            bounds[1].extend([ca.SX(math.inf), ZERO, ZERO] * (len(block.rows) // 3))
             continue
         with tracing(block.part):
-            for values, given in zip(found, block.limits(k, x), strict=True):
-                every = k.spread(given, len(block.rows))
-                values.extend(ca.SX(plain(one)) for one in every)
-    return found
+            for values, limits in zip(bounds, block.limits(k, x), strict=True):
+                every = k.spread(limits, len(block.rows))
+                values.extend(ca.SX(plain(bound)) for bound in every)
+    return bounds
 
 
 def is_open(bound: Any) -> bool:
@@ -203,15 +205,17 @@ class SwitchedRows(UnilateralRows):
         Untraceable: Names what has no symbolic form.
     """
 
-    def __init__(self, system: SymbolicSystem, ways: Sequence[Any]) -> None:
+    def __init__(self, system: SymbolicSystem, mode: Sequence[Any]) -> None:
         self._trace_rows(system)
-        self._ways = ways
+        self._mode_entries = mode
         self._slips = self._slipping(system.velocity)
         tangents = {i + j for i in self._slips for j in (1, 2)}
-        self._off = [way != 0.0 if i in tangents else way * way for i, way in enumerate(ways)]
+        self._off = [
+            entry != 0.0 if i in tangents else entry * entry for i, entry in enumerate(mode)
+        ]
         self.slack, self.touching = self._off, list(self._slips)
         self._open = self._rows.reduced(self._coordinates)
-        self.on = self.masked(range(len(ways)))
+        self.on = self.masked(range(len(mode)))
         self.bias = [(1.0 - off) * self._biased(i) for i, off in enumerate(self._off)]
         self._rubs = {i: self._rub(i, slip) for i, slip in self._slips.items()}
         self.pushing = {i: self._pushed(i, rub) for i, rub in self._rubs.items()}
@@ -221,11 +225,13 @@ class SwitchedRows(UnilateralRows):
     def _slipping(self, v: Sequence[Any]) -> dict[int, Slip]:
         """Contacts by the rows of their normals."""
         rates, speed = self._rows.velocities(v), largest(v) if self._mu else ZERO
-        found = {}
+        slips = {}
         for i in self._mu:
-            name, along = self._ways[i + 1 : i + 3], rates[i + 1 : i + 3]
-            found[i] = slip_of(self._ways[i], (name[0], name[1]), (along[0], along[1]), speed)
-        return found
+            name, along = self._mode_entries[i + 1 : i + 3], rates[i + 1 : i + 3]
+            slips[i] = slip_of(
+                self._mode_entries[i], (name[0], name[1]), (along[0], along[1]), speed
+            )
+        return slips
 
     def _rub(self, i: int, slip: Slip) -> tuple[Any, Any]:
         """Friction against a slip, of the force of its normal."""
@@ -233,9 +239,9 @@ class SwitchedRows(UnilateralRows):
         return self._mu[i] * slip.is_on * x, self._mu[i] * slip.is_on * y
 
     def _pushed(self, i: int, rub: tuple[Any, Any]) -> dict[int, Any]:
-        """What the normal of a contact pushes along, its friction included."""
-        push, own = dict(self.on.J[i]), self._open.J
-        for share, row in zip(rub, own[i + 1 : i + 3], strict=True):
+        """Return the force direction of a contact, including its friction."""
+        push, open_rows = dict(self.on.J[i]), self._open.J
+        for share, row in zip(rub, open_rows[i + 1 : i + 3], strict=True):
             for j, value in row.items():
                 push[j] = push.get(j, ZERO) - share * value
         return push
@@ -245,10 +251,10 @@ class SwitchedRows(UnilateralRows):
         rows = self._open.only(chosen)
         on = [1.0 - self._off[i] for i in chosen]
         J = [
-            {j: one * value for j, value in row.items()}
-            for one, row in zip(on, rows.J, strict=True)
+            {j: scale * value for j, value in row.items()}
+            for scale, row in zip(on, rows.J, strict=True)
         ]
-        g = [one * value for one, value in zip(on, rows.g, strict=True)]
+        g = [scale * value for scale, value in zip(on, rows.g, strict=True)]
         return rows._replace(J=J, g=g)
 
     def slack_of(self, chosen: Sequence[int]) -> list[Any]:
@@ -257,23 +263,23 @@ class SwitchedRows(UnilateralRows):
 
     def of(self, *kinds: Reach) -> list[int]:
         """Rows of some kinds."""
-        return [i for i, one in enumerate(self._reach) if one in kinds]
+        return [i for i, reach in enumerate(self._reach) if reach in kinds]
 
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
-        """Of all rows, SX scalars, from the multipliers of those that are on."""
-        found = []
-        each = zip(self._ways, self._off, self._lower, self._upper, lam, strict=True)
-        for way, off, lower, upper, solved in each:
+        """Return the multipliers of all rows, SX scalars, from those of active rows."""
+        forces = []
+        each = zip(self._mode_entries, self._off, self._lower, self._upper, lam, strict=True)
+        for entry, off, lower, upper, solved in each:
             low, high = (ZERO if is_open(one) else one for one in (lower, upper))
-            found.append(
-                (1.0 - off) * solved + 0.5 * way * ((way + 1.0) * low + (way - 1.0) * high)
+            forces.append(
+                (1.0 - off) * solved + 0.5 * entry * ((entry + 1.0) * low + (entry - 1.0) * high)
             )
         for i, rub in self._rubs.items():
-            found[i + 1 : i + 3] = (
-                own - share * found[i]
-                for own, share in zip(found[i + 1 : i + 3], rub, strict=True)
+            forces[i + 1 : i + 3] = (
+                own - share * forces[i]
+                for own, share in zip(forces[i + 1 : i + 3], rub, strict=True)
             )
-        return found
+        return forces
 
     def rates(self, v: Sequence[Any]) -> list[Any]:
         """The g' of rows that are on, SX scalars, 0 for others.
@@ -289,31 +295,33 @@ class SwitchedRows(UnilateralRows):
         margins, rates = self.spans(v), self._rows.velocities(v)
         for i, slip in self._slips.items():
             margins[i + 1 : i + 3] = slip.ends if self._mu[i] else (ONE, ONE)
-        each = zip(self._ways, rates, self._reach, strict=True)
-        found = [way * rate if reach is Reach.GAP else ZERO for way, rate, reach in each]
-        return margins, found
+        each = zip(self._mode_entries, rates, self._reach, strict=True)
+        gap_rates = [entry * rate if reach is Reach.GAP else ZERO for entry, rate, reach in each]
+        return margins, gap_rates
 
     def spans(self, v: Sequence[Any]) -> list[Any]:
         """How far rows that are off are from where they would be on."""
-        found, rates = [], self._rows.velocities(v)
-        for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
+        distances, rates = [], self._rows.velocities(v)
+        for i, (entry, off) in enumerate(zip(self._mode_entries, self._off, strict=True)):
             reach = self._reach[i]
             height = self._rows.g[i] if reach is Reach.GAP else rates[i]
             has_height = reach in (Reach.GAP, Reach.SLIP)
-            found.append(way * height + (1.0 - off) * _ENDLESS if has_height else ca.SX(_ENDLESS))
+            distances.append(
+                entry * height + (1.0 - off) * _ENDLESS if has_height else ca.SX(_ENDLESS)
+            )
         for i, slip in self._slips.items():
-            found[i + 1] = slip.size
-        return found
+            distances[i + 1] = slip.size
+        return distances
 
     def names(self) -> Any:
         """0 where a slip should have another name, 2 where one follows its velocity, else 1."""
-        kept, turns = ONE, ZERO
+        keeps, follows = ONE, ZERO
         for slip in self._slips.values():
-            kept, turns = ca.fmin(kept, slip.keeps_name), ca.fmax(turns, slip.turns)
-        return kept * (1.0 + turns)
+            keeps, follows = ca.fmin(keeps, slip.keeps_name), ca.fmax(follows, slip.turns)
+        return keeps * (1.0 + follows)
 
     def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        """What multipliers are within their bounds, demands at a limit, and rates of slips.
+        """Return margins of multipliers to their bounds, demands at a limit, and slip rates.
 
         Args:
             a: Accelerations of all joints, SX scalars.
@@ -321,30 +329,30 @@ class SwitchedRows(UnilateralRows):
         """
         margins, rates, left = [], [], self.left(a)
         passed = PASSED * largest(lam) if self._slips else ZERO
-        for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
+        for i, (entry, off) in enumerate(zip(self._mode_entries, self._off, strict=True)):
             more = passed if i in self._slips or self._reach[i] is Reach.FRICTION else ZERO
             room = [(1.0 - off) * (one + more) + off * _ENDLESS for one in self._room(i, lam)]
             if self._reach[i] is Reach.DEMAND:
-                room.append(way * left[i] + (1.0 - off) * _ENDLESS)
+                room.append(entry * left[i] + (1.0 - off) * _ENDLESS)
             margins.extend(room)
-            rates.append(way * left[i] if self._reach[i] is Reach.SLIP else ZERO)
+            rates.append(entry * left[i] if self._reach[i] is Reach.SLIP else ZERO)
         return margins, rates
 
     @property
     def keys(self) -> dict[tuple[int, int], int]:
         """Where margins stand among those of `heights`, then those of `answers`."""
-        found, n = dict[tuple[int, int], int](), len(self._ways)
+        numbers, n = dict[tuple[int, int], int](), len(self._mode_entries)
         for i, reach in enumerate(self._reach):
             if reach is not Reach.DEMAND:
-                found[i, 0] = i
+                numbers[i, 0] = i
             if reach is Reach.FRICTION:
-                ways = [1] if i - 1 in self._mu else []
+                mode = [1] if i - 1 in self._mu else []
             else:
                 bounds = ((1, self._lower[i]), (-1, self._upper[i]))
-                ways = [way for way, bound in bounds if not is_open(bound)]
-            for way in [*ways, *[0] * (reach is Reach.DEMAND)]:
-                found[i, way], n = n, n + 1
-        return found
+                mode = [way for way, bound in bounds if not is_open(bound)]
+            for way in [*mode, *[0] * (reach is Reach.DEMAND)]:
+                numbers[i, way], n = n, n + 1
+        return numbers
 
     def left(self, a: Sequence[Any]) -> list[Any]:
         """The w of all rows, by accelerations of all joints, SX scalars."""
@@ -356,13 +364,13 @@ class SwitchedRows(UnilateralRows):
 
     def longest(self, a: Sequence[Any]) -> Any:
         """Length of a step in which slips that turn do not change by much [s]."""
-        found, left = ca.SX(_LONG), self.left(a)
+        step, left = ca.SX(_LONG), self.left(a)
         for i, slip in self._slips.items():
-            found = ca.fmin(found, slip.longest(left[i + 1 : i + 3]))
-        return found
+            step = ca.fmin(step, slip.longest(left[i + 1 : i + 3]))
+        return step
 
     def _room(self, i: int, every: Sequence[Any]) -> list[Any]:
-        """What is left of a multiplier to its bounds."""
+        """Return the distances of a multiplier to its bounds."""
         if self._reach[i] is Reach.FRICTION:
             return [self._grip(i - 1, every)] if i - 1 in self._mu else []
         lam, lower, upper = every[i], self._lower[i], self._upper[i]
@@ -389,7 +397,7 @@ class Slip(NamedTuple):
 
     @property
     def direction(self) -> tuple[Any, Any]:
-        """What friction is against."""
+        """Direction that friction opposes."""
         length, (x, y), (a, b) = self._length, self.along, self.name
         size = ca.if_else(self.size > 0.0, self.size, 1.0)
         turned = ca.if_else(x * a + y * b < 0.0, -size, size)
@@ -456,7 +464,7 @@ class Slip(NamedTuple):
         return ca.if_else(self.is_on, value, ONE)
 
 
-def slip_of(way: Any, name: tuple[Any, Any], along: tuple[Any, Any], speed: Any) -> Slip:
+def slip_of(normal: Any, name: tuple[Any, Any], along: tuple[Any, Any], speed: Any) -> Slip:
     """A contact in a mode.
 
     Args:
@@ -466,7 +474,7 @@ def slip_of(way: Any, name: tuple[Any, Any], along: tuple[Any, Any], speed: Any)
         speed: The largest velocity of a joint.
     """
     a, b = name
-    is_on = ca.logic_and(way == 0.0, ca.logic_or(a != 0.0, b != 0.0))
+    is_on = ca.logic_and(normal == 0.0, ca.logic_or(a != 0.0, b != 0.0))
     is_fine = ca.fmax(ca.fabs(a), ca.fabs(b)) > slip_directions.COARSE * slip_directions.GROWN
     size = ca.sqrt(along[0] * along[0] + along[1] * along[1])
     return Slip(is_on, is_fine, name, along, size, slip_directions.NO_SLIP * (1.0 + speed))

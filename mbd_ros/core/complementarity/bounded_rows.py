@@ -17,7 +17,7 @@ Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,24 +41,45 @@ _CLOSED = 1.0e-12  # the same of rows among which impulses are shared
 _SAME = 1.0e-10  # by which the rates of dependent rows may differ and count as the same
 _GIVES = 1.0e-5  # root of how much rows give way that depend on one another and move apart
 _ROUNDS = 10  # of exchanges, per row
+_new_solution = tuple.__new__  # half the time of the constructor
+
+
+class BoundedSolution(NamedTuple):
+    """Accelerations with bounded rows, and the multipliers of these rows.
+
+    Attributes:
+        a: Accelerations of the integrated coordinates, shape (nv,).
+        lam: Multipliers, shape (m,).
+        force: J' lam on all joints, shape (nv of the robot,).
+        w: What the rows leave, J a + drift + kd g' + kp g, shape (m,); 0 where no row was worth
+            a solve.
+        terms: Size of the terms in w, shape (m,); 0 likewise.
+    """
+
+    a: Array
+    lam: Array
+    force: Array
+    w: Array
+    terms: Array
 
 
 class BoundedRows:
-    """Adds bounded rows to a system that solves everything else.
+    """Bounded rows on top of a motion that solves everything else.
 
-    While no row acts, an evaluation costs the check and nothing more. Otherwise rows are
-    exchanged, beginning with those that each row by itself asks for; a QP that starts from nothing
-    serves where that does not end. An evaluation does not depend on earlier ones.
+    While no row exerts a force, an evaluation costs the check and nothing more. Otherwise rows are
+    exchanged between their bounds and the active set, beginning with the set that each row finds
+    by itself; a QP that starts cold solves it where the exchange does not end. An evaluation does
+    not depend on earlier ones.
 
     Args:
+        constraints: The rows.
         nv: Size of the velocity of the robot.
-        backend: Solver of the QP, see `BoxQp`.
+        backend: Solver of the QP, as for `BoxQp`.
 
     Attributes:
         rows: One entry a row.
         qp: The solver with its statistics.
-        multipliers: Those of the last evaluation, shape (m,).
-        force: J' lam of the last evaluation, shape (nv,).
+        acts: Whether any row was worth a solve in the last evaluation, for reports.
     """
 
     def __init__(self, constraints: ConstraintRows, nv: int, backend: str = "proxqp") -> None:
@@ -68,47 +89,42 @@ class BoundedRows:
         self._upper = constraints.upper
         self.qp = BoxQp(len(self.rows), backend, ("cold", "damped"))
         self._margins = [part.quick_margin for part in constraints.parts]
-        self._idle = np.zeros(len(self.rows))
-        self._no_force = np.zeros(nv)
-        self.multipliers = self._idle
-        self.force = self._no_force
+        self._no_rates = np.zeros(len(self.rows))
+        self._idle = self._no_rates, np.zeros(nv), self._no_rates, self._no_rates
+        self.acts = False
 
-    @property
-    def acts(self) -> bool:
-        """Whether any row was worth a solve in the last evaluation."""
-        return self.multipliers is not self._idle
-
-    def accelerate(self, motion: Any, t: float, q: Array, v: Array, a: Array) -> Array:
-        """Accelerations of the integrated coordinates with the rows, shape as `a`.
+    def accelerate(self, motion: Any, y: State, a: Array) -> BoundedSolution:
+        """Solve for the accelerations of the integrated coordinates with the rows.
 
         Args:
-            motion: The `FreeMotion`, just evaluated at t, q, v.
+            motion: The `FreeMotion`, just evaluated at y.
+            y: State of the integrated coordinates.
             a: Acceleration without the rows.
 
         Raises:
-            SolveError: No rung of the ladder of `BoxQp` solves it, or a lower bound is above the
-                upper one.
+            SolveError: The QP solver fails on it, or a lower bound is above the upper one.
         """
-        joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
+        joint_q, joint_v, joint_a = motion.joint_motion(y.q, y.v, a)
         for margin in self._margins:
             if margin(joint_q, joint_v, joint_a) < 0.0:
                 break
         else:
-            self.multipliers, self.force = self._idle, self._no_force
-            return a
-        k, x = motion.mechanism.k, State(t, joint_q, joint_v, motion.mechanism.z)
+            self.acts = False
+            return _new_solution(BoundedSolution, (a, *self._idle))
+        k, x = motion.mechanism.k, State(y.t, joint_q, joint_v, y.z)
         k.refresh(joint_q, joint_v, self.constraints.reads)
         if self.constraints.varies:
             self.constraints.limit(k, x)
-        return self.held(motion, q, x, joint_a, self._lower, self._upper)[0]
+        return self.solve(motion, y.q, x, joint_a, self._lower, self._upper)
 
-    def held(
+    def solve(
         self, motion: Any, q: Array, x: State, joint_a: Array, lower: Array, upper: Array
-    ) -> tuple[Array, Array, Array]:
-        """Accelerations of the integrated coordinates, w, and the size of its terms, (m,) each.
+    ) -> BoundedSolution:
+        """Solve for the rows between given bounds.
 
         Args:
-            motion: As for `accelerate`.
+            motion: The `FreeMotion`, just evaluated.
+            q: Configuration of the integrated coordinates there.
             x: State of all joints, with k refreshed.
             joint_a: Accelerations of all joints without the rows.
             lower: Smallest multipliers, shape (m,).
@@ -119,12 +135,13 @@ class BoundedRows:
         free = J.dot(joint_a) + b
         A, w, silent = self._without_silent(J, J.dot(response), free, (lower, upper))
         lam = self._multipliers(A, w, lower, upper)
-        self.multipliers, self.force = lam, J.T.dot(lam)
+        self.acts = True
         a = motion.coordinates.integrated(joint_a + response.dot(lam))
-        left = A.dot(lam) + w
+        end = A.dot(lam) + w
         if silent is not None:
-            left = np.where(silent, free, left)
-        return a, left, np.abs(A).dot(np.abs(lam)) + np.abs(w)
+            end = np.where(silent, free, end)
+        terms = np.abs(A).dot(np.abs(lam)) + np.abs(w)
+        return BoundedSolution(a, lam, J.T.dot(lam), end, terms)
 
     def _multipliers(self, A: Array, w: Array, lower: Array, upper: Array) -> Array:
         lam = exchanged(A, w, lower, upper)
@@ -133,7 +150,7 @@ class BoundedRows:
     def _without_silent(
         self, J: Array, A: Array, w: Array, bounds: tuple[Array, Array]
     ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
-        """A and w without rows that nothing moves, and which these are.
+        """Return A and w without rows that nothing moves, and which these are.
 
         Their multipliers are then 0, or where they demand a motion at the bound that it leads to:
         friction of a rocker that turns.
@@ -180,7 +197,7 @@ class BoundedImpulses:
         self._A = 0.5 * (A + A.T)
 
     def solve(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without them, shape (m,).
@@ -206,7 +223,7 @@ class BoundedImpulses:
         return p
 
     def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """Impulses of rows that nothing moves; 0 for the others."""
+        """Return impulses of rows that nothing moves; 0 for the others."""
         p = np.zeros(len(b))
         if self._mobile.all():
             return p
@@ -243,7 +260,7 @@ class PushImpulses:
         self._G = G[:, self._mobile] * self._unit
 
     def solve(self, b: Array, speed: float) -> Array:
-        """The impulses, shape (m,), fresh; rows that depend on one another share them.
+        """Return the impulses, shape (m,), fresh; rows that depend on one another share them.
 
         Args:
             b: Rates without them, shape (m,).
@@ -271,19 +288,21 @@ class PushImpulses:
             speed: As for `solve`.
         """
         p, rate = np.zeros((2, len(b)))
-        own = self._unit * b[self._mobile]
-        if (own >= 0.0).all():
+        scaled_rates = self._unit * b[self._mobile]
+        if (scaled_rates >= 0.0).all():
             return p, rate
-        G, size = self._G, max(speed, float(np.abs(own).max()))
-        own = own / size  # c is of the order of 1, however slow the motion is
-        c = np.asarray(np.linalg.lstsq(G.T, own, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64)
-        off = own - G.T.dot(c)
+        G, size = self._G, max(speed, float(np.abs(scaled_rates).max()))
+        scaled_rates = scaled_rates / size  # c is of the order of 1, however slow the motion is
+        c = np.asarray(
+            np.linalg.lstsq(G.T, scaled_rates, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64
+        )
+        off = scaled_rates - G.T.dot(c)
         if np.abs(off).max() <= _SAME:
             p[self._mobile] = size * self._unit * _shared(G, c, _least(G, c))
             return p, rate
-        yielding = np.concatenate((G, _GIVES * np.eye(len(own))))
+        yielding = np.concatenate((G, _GIVES * np.eye(len(scaled_rates))))
         push = _least(yielding, np.concatenate((c, off / _GIVES)))
-        rate[self._mobile] = own + G.T.dot(G.dot(push))
+        rate[self._mobile] = scaled_rates + G.T.dot(G.dot(push))
         p[self._mobile] = size * self._unit * push
         return p, rate
 
@@ -292,7 +311,7 @@ class PushImpulses:
 
 
 def _shared(G: Array, c: Array, p: Array) -> Array:
-    """Impulses of least norm that do the same, where they push too."""
+    """Return impulses of least norm that do the same, where they push too."""
     rate = G.T.dot(c + G.dot(p))
     least = _fitted(G, c, (rate <= _CLOSED) | (p > 0.0))
     does_the_same = np.abs(G.T.dot(c + G.dot(least)) - rate).max() <= _CLOSED
@@ -300,14 +319,14 @@ def _shared(G: Array, c: Array, p: Array) -> Array:
 
 
 def _fitted(G: Array, c: Array, on: NDArray[np.bool_]) -> Array:
-    """The p of least norm with c + G p the shortest, 0 where a row is off."""
+    """Return p of least norm with c + G p the shortest, 0 where a row is off."""
     p = np.zeros(G.shape[1])
     p[on] = np.linalg.lstsq(G[:, on], -c, rcond=FIXED_BY_OTHERS)[0]
     return p
 
 
 def _least(G: Array, c: Array) -> Array:
-    """Some p of the problem."""
+    """Return some p of the problem."""
     m = G.shape[1]
     p, pushes = np.zeros(m), np.zeros(m, dtype=np.bool_)
     tried = np.zeros(m, dtype=np.bool_)

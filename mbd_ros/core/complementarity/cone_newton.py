@@ -50,7 +50,7 @@ class ConeNewton:
         self._places = cone_places(len(A), tuple(contacts.normal.tolist()))
 
     def damped(self, by: float) -> ConeNewton:
-        """The same with a part of the identity added to A."""
+        """Return the same with a part of the identity added to A."""
         return ConeNewton(self.A + by * np.eye(len(self.A)), self.contacts)
 
     def solve(
@@ -62,7 +62,7 @@ class ConeNewton:
         halvings: int = 0,
         enough: float = _EXACT,
     ) -> tuple[Array, float]:
-        """The best impulses on the way from some, and what is left of the map there.
+        """Return the best impulses on the way from some, and what is left of the map there.
 
         Args:
             b: Rates without impulses, shape (m,).
@@ -88,7 +88,7 @@ class ConeNewton:
         return best, smallest
 
     def see(self, b: Array, bounds: Bounds, p: Array) -> Seen:
-        """The map at some impulses."""
+        """Return the map at some impulses."""
         others, normal, *_, mu = self.contacts
         w, tangents = self.A.dot(p) + b, self._places.tangents
         z, left, holds = p - w, np.empty(len(p)), np.empty(len(p), dtype=np.bool_)
@@ -112,26 +112,26 @@ class ConeNewton:
     def _along(
         self, b: Array, bounds: Bounds, p: Array, step: Array, seen: Seen, halvings: int
     ) -> tuple[Array, Seen]:
-        """Impulses after a step or a part of it, and the map there."""
+        """Return impulses after a step or a part of it, and the map there."""
         after = p + step
-        found = self.see(b, bounds, after)
+        residual = self.see(b, bounds, after)
         if not halvings:
-            return after, found
+            return after, residual
         size, share = float(seen.left.dot(seen.left)), 1.0
-        best, smallest = (after, found), float(found.left.dot(found.left))
+        best, smallest = (after, residual), float(residual.left.dot(residual.left))
         for _ in range(halvings):
             if smallest <= (1.0 - _ENOUGH) * size:
                 break
             share *= 0.5
             after = p + share * step
-            found = self.see(b, bounds, after)
-            now = float(found.left.dot(found.left))
+            residual = self.see(b, bounds, after)
+            now = float(residual.left.dot(residual.left))
             if not now >= smallest:
-                best, smallest = (after, found), now
+                best, smallest = (after, residual), now
         return best
 
     def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
-        """The shortest step that Newton's method asks for, shape (m,)."""
+        """Return the shortest step that Newton's method asks for, shape (m,)."""
         K, r, holds = self.A, seen.w, seen.holds
         if not holds.all():
             K, r = holds[:, None] * K, np.where(holds, r, seen.left)
@@ -162,12 +162,12 @@ class ConeNewton:
 
 
 def largest(values: Array) -> float:
-    """The largest size among some numbers, NaN where one is none."""
+    """Return the largest size among some numbers, NaN where one is none."""
     return float(np.maximum.reduce(np.abs(values)))  # as `max`, for less time
 
 
 def shortest(K: Array, r: Array) -> tuple[Array, int]:
-    """The x of smallest norm with K x nearest to r, and the rank of K."""
+    """Return x of smallest norm with K x nearest to r, and the rank of K."""
     factor = eigenpy.CompleteOrthogonalDecomposition(*K.shape)
     factor.setThreshold(redundant(len(r)))
     factor.compute(K)
@@ -193,7 +193,7 @@ class Contacts(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What impulses may be.
+    """Bounds of impulses.
 
     Attributes:
         lower: Smallest ones of rows between bounds, shape (k,).
@@ -255,7 +255,7 @@ def cone_places(m: int, normals: tuple[int, ...]) -> ConePlaces:
     return ConePlaces(np.stack((first, second)), friction, turns)
 
 
-def kept(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
+def active_set(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
     """Impulses within their bounds and cones, fresh; those of rows that do not hold are at one."""
     others, normal, first, second, mu = contacts
     p = p.copy()

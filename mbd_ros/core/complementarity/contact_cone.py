@@ -39,7 +39,7 @@ _FLAT = redundant(2)
 
 
 def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0, slack: float = 0.0) -> Array:
-    """The p of the problem above, shape (3,); 0 along tangents that nothing moves.
+    """Return p of the problem above, shape (3,); 0 along tangents that nothing moves.
 
     Where friction couples so strongly that there are several answers, a contact that opens comes
     before one that sticks, and that before one that slips.
@@ -66,7 +66,7 @@ def cone_contact(A: Array, b: Array, mu: float, least: float = 0.0, slack: float
 
 
 def _pushes(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[float]]:
-    """Candidates of a contact that does not open."""
+    """Return candidates of a contact that does not open."""
     (n, a_x, a_y), (_, S_xx, S_xy), (_, _, S_yy) = A
     ahead = -b[0] / n  # the normal p that ends w_n without friction
     if mu == 0.0:
@@ -117,7 +117,7 @@ class _Slip(NamedTuple):
     mu: float
 
     def at(self, alpha: float) -> tuple[float, float]:
-        """The p along the axes."""
+        """Return p along the axes."""
         p_1 = -self.c_1 / (self.s_1 + alpha) if self.c_1 else 0.0
         return p_1, -self.c_2 / (self.s_2 + alpha) if self.c_2 else 0.0
 
@@ -152,7 +152,7 @@ class _Slip(NamedTuple):
 
 
 def _opens(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[float]]:
-    """Candidates of a contact that opens though it pushes with the least p."""
+    """Return candidates of a contact that opens though it pushes with the least p."""
     (_, a_x, a_y), (_, S_xx, S_xy), (_, _, S_yy) = A
     if mu == 0.0:
         yield [least, 0.0, 0.0]
@@ -168,7 +168,7 @@ def _opens(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[fl
 
 
 def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> Array:
-    """As `cone_contact`, by way of all candidates and with every rank decided."""
+    """Solve the same problem as `cone_contact` from all candidates, with every rank decided."""
     values, directions = np.linalg.eigh(A)
     if values[0] <= redundant(3) * values[2]:
         moved = directions[:, values > redundant(3) * values[2]]
@@ -176,7 +176,7 @@ def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> A
         if np.abs(b - answered).max() <= _ACCEPTED * np.abs(b).max() + slack:
             b = answered
     given, rates = A.tolist(), b.tolist()
-    size, found, smallest = size_of(given, rates, least), np.zeros(3), math.inf
+    size, solution, smallest = size_of(given, rates, least), np.zeros(3), math.inf
     for p in _answers(A, b, mu, least):
         left = residual(given, rates, p.tolist(), mu, least)
         if np.abs(p).max() > _LARGE * size:  # it rounds what is left
@@ -184,14 +184,14 @@ def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> A
         if left <= _EXACT * size:
             return p
         if left < smallest:
-            found, smallest = p, left
+            solution, smallest = p, left
     if smallest <= _ACCEPTED * size + slack / float(A[0, 0]):
-        return found
+        return solution
     raise SolveError(f"no impulse of a contact with friction {mu:g} answers {b.tolist()}")
 
 
 def _answers(A: Array, b: Array, mu: float, least: float) -> Iterator[Array]:
-    """Candidates, in the order of preference."""
+    """Return candidates, in the order of preference."""
     yield np.concatenate(((least,), friction_at(A[1:, 1:], b[1:] + A[1:, 0] * least, mu * least)))
     n, a = float(A[0, 0]), A[1:, 0]
     ahead = -float(b[0]) / n  # the normal p that ends w_n without friction
@@ -218,7 +218,7 @@ def friction_at(A: Array, b: Array, most: float) -> Array:
         return np.zeros(2)
     disc = _Tangents(A, b, float(A.diagonal().max()))
     alpha = 0.0 if math.hypot(*disc.at(0.0)) <= most else disc.root(most)
-    p = disc.whole(alpha)
+    p = disc.impulse(alpha)
     size = math.hypot(*p)
     return p if size <= most else p * (most / size)
 
@@ -244,16 +244,16 @@ class _Tangents:
         self._c = np.where(~moves & is_rounding, 0.0, c).tolist()
 
     def at(self, alpha: float) -> Array:
-        """The p along the axes, shape (2,)."""
+        """Return p along the axes, shape (2,)."""
         pairs = zip(self._c, self._s, strict=True)
         return np.array([-c / max(s + alpha, _NO_MOBILITY) if c else 0.0 for c, s in pairs])
 
-    def whole(self, alpha: float) -> Array:
-        """The p, shape (2,)."""
+    def impulse(self, alpha: float) -> Array:
+        """Return the p, shape (2,)."""
         return self.axes.dot(self.at(alpha))
 
     def slope(self, alpha: float) -> Array:
-        """Derivative of `at` by alpha, shape (2,)."""
+        """Return the derivative of `at` by alpha, shape (2,)."""
         pairs = zip(self._c, self._s, strict=True)
         return np.array([c / max(s + alpha, _NO_MOBILITY) ** 2 if c else 0.0 for c, s in pairs])
 
@@ -277,16 +277,16 @@ class _Tangents:
         return alpha
 
     def slips(self, mu: float, ahead: float, along: Array) -> Iterator[float]:
-        """The alpha >= 0 with |p| = mu (ahead + along . p), the smallest first."""
+        """Return the alpha >= 0 with |p| = mu (ahead + along . p), the smallest first."""
         scale = self._s[1] or math.hypot(*self._c)
         if scale == 0.0:
             return
         (s1, s2), (c1, c2) = ((x / scale, y / scale) for x, y in (self._s, self._c))
-        one, other = np.array((1.0, s1)), np.array((1.0, s2))
-        product = np.convolve(one, other)
+        first, other = np.array((1.0, s1)), np.array((1.0, s2))
+        product = np.convolve(first, other)
         normal = ahead * product
-        normal[1:] -= along[0] * c1 * other + along[1] * c2 * one
-        quartic = c1 * c1 * np.convolve(other, other) + c2 * c2 * np.convolve(one, one)
+        normal[1:] -= along[0] * c1 * other + along[1] * c2 * first
+        quartic = c1 * c1 * np.convolve(other, other) + c2 * c2 * np.convolve(first, first)
         quartic = np.concatenate(((0.0, 0.0), quartic)) - mu * mu * np.convolve(normal, normal)
         roots = np.roots(quartic)
         real = roots.real[np.abs(roots.imag) <= _DOUBLE * (np.abs(roots.real) + 1.0)]
@@ -310,7 +310,7 @@ class _Tangents:
         return high
 
     def _polished(self, alpha: float, mu: float, ahead: float, along: Array) -> float:
-        """A root without the rounding of the polynomial."""
+        """Return a root without the rounding of the polynomial."""
         for _ in range(4):
             p, slope = self.at(alpha), self.slope(alpha)
             size = math.hypot(*p)
@@ -324,7 +324,7 @@ class _Tangents:
 
 
 def residual(A: Rows, b: list[float], p: list[float], mu: float, least: float) -> float:
-    """How far p is from its projection after a step against w: 0 for answers alone."""
+    """Return how far p is from its projection after a step against w: 0 for answers alone."""
     n, x, y = p
     w_n, w_x, w_y = (
         row[0] * n + row[1] * x + row[2] * y + given for row, given in zip(A, b, strict=True)
@@ -341,14 +341,14 @@ def residual(A: Rows, b: list[float], p: list[float], mu: float, least: float) -
 
 
 def size_of(A: Rows, b: list[float], least: float) -> float:
-    """Size of the impulses that can be meant."""
+    """Return the size of the impulses that can be meant."""
     return max(max(map(abs, b)) / A[0][0], least)
 
 
 def cone_residuals(
     A: Array, b: Array, p: Array, mu: float, least: float
 ) -> tuple[float, float, float, float]:
-    """What p leaves of the laws: [rate, impulse, impulse, rate], see `Residuals`."""
+    """Return what p leaves of the laws: [rate, impulse, impulse, rate], see `Residuals`."""
     rows: Rows = A.tolist()
     impulses: list[float] = p.tolist()
     normal, x, y = impulses

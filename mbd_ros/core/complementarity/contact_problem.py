@@ -32,7 +32,7 @@ from mbd_ros.core.complementarity.cone_newton import (
     ConeNewton,
     Contacts,
     Seen,
-    kept,
+    active_set,
     shortest,
 )
 from mbd_ros.core.complementarity.contact_cone import cone_contact, cone_residuals
@@ -102,7 +102,7 @@ class ContactProblem:
         shared: bool = True,
         accepted: float = EXACT,
     ) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without them, shape (m,).
@@ -133,7 +133,7 @@ class ContactProblem:
         return p
 
     def pushing(self, b: Array, speed: float, least: Array | None = None) -> Array:
-        """The impulses of contacts and of rows that only push.
+        """Return the impulses of contacts and of rows that only push.
 
         Args:
             b: As for `solve`.
@@ -148,7 +148,7 @@ class ContactProblem:
 
     @property
     def residuals(self) -> Residuals:
-        """What the last answer leaves of the laws; rows that nothing moves leave nothing."""
+        """Return the residuals of the laws in the last solution, 0 for rows that nothing moves."""
         p, b, lower, upper = self._answered
         if self._is_one:
             return Residuals(*cone_residuals(self._A, b, p, self._cones[0].mu, float(lower[0])))
@@ -244,7 +244,7 @@ class ScaledContacts:
         *,
         shared: bool,
     ) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without impulses, shape (m,).
@@ -273,14 +273,14 @@ class ScaledContacts:
             self._newton.seen = self._newton.see(b, bounds, p)
         if left > max(accepted, enough):
             raise SolveError(self._failed())
-        p = kept(self._newton.contacts, bounds, self._newton.seen, p)
+        p = active_set(self._newton.contacts, bounds, self._newton.seen, p)
         if shared and self._newton.depends and p.any():
             p = self._shortest(b, bounds, p)
         answer[at] = unit * p
         return answer
 
     def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """Impulses of rows that nothing moves; 0 for the others."""
+        """Return impulses of rows that nothing moves; 0 for the others."""
         p = np.zeros(len(b))
         if len(self._at) == len(b):
             return p
@@ -294,20 +294,20 @@ class ScaledContacts:
         return p
 
     def _shortest(self, b: Array, bounds: Bounds, p: Array) -> Array:
-        """The impulses of least norm that do what p does."""
+        """Return the impulses of least norm that do what p does."""
         newton = self._newton
         seen = newton.seen
         exact = _ENOUGH * (1.0 + float(np.abs(p).max()))
         most = max(exact, float(np.abs(seen.left).max()))
-        found = least_impulses(newton, seen, bounds, p, self._unit)
-        left = float(np.abs(newton.see(b, bounds, found).left).max())
+        impulses = least_impulses(newton, seen, bounds, p, self._unit)
+        left = float(np.abs(newton.see(b, bounds, impulses).left).max())
         if left > most:
-            found, left = newton.solve(b, bounds, found, _POLISH)
-            found = kept(newton.contacts, bounds, newton.seen, found)
-        return found if left <= most else p
+            impulses, left = newton.solve(b, bounds, impulses, _POLISH)
+            impulses = active_set(newton.contacts, bounds, newton.seen, impulses)
+        return impulses if left <= most else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
-        """What impulses leave of the laws: of normals and bounded rows, and of slips [m/s]."""
+        """Return the residuals of the laws: of normals and bounded rows, and of slips [m/s]."""
         at, unit, contacts = self._at, self._unit, self._newton.contacts
         if not len(at):
             return 0.0, 0.0
@@ -323,7 +323,7 @@ class ScaledContacts:
         return Bounds(lower[contacts.others], upper[contacts.others], lower[contacts.normal])
 
     def _failed(self) -> str:
-        """What is wrong with the best impulses."""
+        """Return what is wrong with the best impulses."""
         off = np.abs(self._newton.seen.left)
         worst, left = self._names[self._at[int(off.argmax())]], float(off.max())
         return (
@@ -335,7 +335,7 @@ class ScaledContacts:
 def searched(
     newton: ConeNewton, b: Array, bounds: Bounds, start: Array, enough: tuple[float, float]
 ) -> tuple[Array, float]:
-    """The best impulses of all ways, and what they leave of the natural map.
+    """Return the best impulses of all ways, and what they leave of the natural map.
 
     What is left counts per size of the impulses, which round it, but impulses without bound, as
     those of contacts that contradict one another, excuse nothing.
@@ -383,7 +383,7 @@ def _starts(
 
 
 def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: float) -> Array:
-    """Impulses at the end of the answers of A + s I, s from a damping to 0."""
+    """Return impulses at the end of the answers of A + s I, s from a damping to 0."""
     while damping > _LEAST:
         p, _ = newton.damped(damping).solve(b, bounds, p, _STEPS, _HALVINGS, _NEAR)
         damping *= _FALLS
@@ -391,7 +391,7 @@ def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: f
 
 
 def _swept(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, sweeps: int) -> Array:
-    """Impulses after some sweeps over the rows, each contact solved by itself."""
+    """Return impulses after some sweeps over the rows, each contact solved by itself."""
     A, contacts, p = newton.A, newton.contacts, p.copy()
     rows = list(zip(contacts.others.tolist(), bounds.lower, bounds.upper, strict=True))
     places = zip(contacts.normal.tolist(), contacts.mu.tolist(), bounds.least, strict=True)
@@ -410,7 +410,7 @@ def _swept(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, sweeps: int) 
 
 
 def _random(newton: ConeNewton, random: np.random.Generator) -> Array:
-    """Impulses of any size, friction within its cones."""
+    """Return impulses of any size, friction within its cones."""
     _, normal, first, second, mu = newton.contacts
     p = np.asarray(random.normal(size=len(newton.A)) * 10.0 ** random.uniform(*_SIZES))
     p[normal] = np.abs(p[normal])
@@ -421,7 +421,7 @@ def _random(newton: ConeNewton, random: np.random.Generator) -> Array:
 
 
 def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, unit: Array) -> Array:
-    """The impulses of least norm that do what p does; p itself where they are not found.
+    """Return the impulses of least norm that do what p does; p itself where they are not found.
 
         min |p|^2   subject to   A p = A p_0,   p within its bounds and cones
 
@@ -437,20 +437,20 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
         unit: Of the impulses, shape (m,): the norm is that of unit p.
     """
     shares = _shares(newton, seen, bounds, p, unit)
-    columns, given = _columns(shares, len(p)), unit * p
+    columns, impulses = _columns(shares, len(p)), unit * p
     count, does = columns.shape[1], newton.A.dot(columns / unit[:, None])
     if not count:
         return p
-    sought = columns.T.dot(given)
+    sought = columns.T.dot(impulses)
     shares_of_all, rank = shortest(does, does.dot(sought))
     if rank == count:
         return p
-    size = float(np.abs(given).max())
-    target = given + columns.dot(shares_of_all - sought)
-    within = _nearest(shares, given, target)
+    size = float(np.abs(impulses).max())
+    target = impulses + columns.dot(shares_of_all - sought)
+    within = _nearest(shares, impulses, target)
     if np.abs(within - target).max() > _BEYOND * size:
         basis = np.linalg.qr(columns.dot(_null(does)))[0]
-        found = _projected(shares, basis, given / size, target / size)
+        found = _projected(shares, basis, impulses / size, target / size)
         if found is None:
             return p
         within = size * found
@@ -500,7 +500,7 @@ class _Shares(NamedTuple):
 
 
 def _columns(shares: _Shares, m: int) -> Array:
-    """Impulses that may change, one a column, shape (m, k)."""
+    """Return impulses that may change, one a column, shape (m, k)."""
     own = [i for i, *_ in shares.rows] + [i + j for i, *_ in shares.sticks for j in range(3)]
     columns = np.zeros((m, len(own) + len(shares.slides)))
     columns[own, range(len(own))] = 1.0
@@ -509,9 +509,9 @@ def _columns(shares: _Shares, m: int) -> Array:
     return columns
 
 
-def _nearest(shares: _Shares, given: Array, y: Array) -> Array:
+def _nearest(shares: _Shares, impulses: Array, y: Array) -> Array:
     """The point of all bounds and cones that is nearest to y; impulses that stay are given."""
-    p = given.copy()
+    p = impulses.copy()
     for i, low, high in shares.rows:
         p[i] = min(max(float(y[i]), low), high)
     for i, least, mu in shares.sticks:
@@ -522,37 +522,37 @@ def _nearest(shares: _Shares, given: Array, y: Array) -> Array:
 
 
 def _null(B: Array) -> Array:
-    """What B makes nothing of, one a column."""
+    """Return what B makes nothing of, one a column."""
     _, values, right = np.linalg.svd(B)
     rank = int((values > redundant(len(B)) * values.max(initial=0.0)).sum())
     null: Array = right[rank:].T
     return null
 
 
-def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array | None:
-    """The shortest impulses within bounds and cones that do the same; None where not found.
+def _projected(shares: _Shares, basis: Array, impulses: Array, y: Array) -> Array | None:
+    """Return the shortest impulses within bounds and cones that do the same; None where not found.
 
     Args:
         shares: Which impulses may change.
         basis: Changes that do nothing, orthonormal, shape (m, k).
-        given: Impulses, of the order of 1.
+        impulses: Impulses, of the order of 1.
         y: Where to begin.
     """
     seen = np.eye(len(y)) - basis.dot(basis.T)
 
     def height(y: Array, p: Array) -> float:
-        return float(0.5 * (y.dot(y) - (y - p).dot(y - p)) - y.dot(given))
+        return float(0.5 * (y.dot(y) - (y - p).dot(y - p)) - y.dot(impulses))
 
-    p = _nearest(shares, given, y)
+    p = _nearest(shares, impulses, y)
     for _ in range(_NEAREST_STEPS):
-        left = seen.dot(p - given)
+        left = seen.dot(p - impulses)
         if np.abs(left).max() <= _SAME:
             return p
         step = -shortest(seen.dot(_slope(shares, y)).dot(seen), left)[0]
         before, falls, share = height(y, p), float(left.dot(step)), 1.0
         for _ in range(_NEAREST_HALVINGS):
             after = y + share * step
-            p = _nearest(shares, given, after)
+            p = _nearest(shares, impulses, after)
             if height(after, p) <= before + _NEAREST_ENOUGH * share * falls:
                 break
             share *= 0.5
@@ -561,7 +561,7 @@ def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array |
 
 
 def _slope(shares: _Shares, y: Array) -> Array:
-    """The derivative of `_nearest` by y, shape (m, m)."""
+    """Return the derivative of `_nearest` by y, shape (m, m)."""
     D = np.zeros((len(y), len(y)))
     for i, low, high in shares.rows:
         D[i, i] = 1.0 if low < y[i] < high else 0.0
@@ -574,7 +574,7 @@ def _slope(shares: _Shares, y: Array) -> Array:
 
 
 def nearest_in_cone(y: Array, mu: float, least: float = 0.0) -> tuple[Array, Array]:
-    """The nearest p with p_n >= least, |p_t| <= mu p_n, and its derivative by y.
+    """Return the nearest p with p_n >= least, |p_t| <= mu p_n, and its derivative by y.
 
     Args:
         y: A normal and two tangents, shape (3,).

@@ -1,9 +1,9 @@
-"""Multipliers of contacts at one state, beside those of the rows around them.
+"""Multipliers of contacts and of the rows beside them at one state.
 
-In a mode they are what its equations ask for, A lam + w = 0 of what is on, of any sign: so events
-are located from smooth motions. Where modes are looked for, and where contacts share a force that
-equations do not split, they keep the laws of contact. Among equal ones they have the smallest
-norm.
+In a known mode the multipliers solve its equations, A lam + w = 0 of the active rows, with any
+sign: events are then located from smooth motions. Where the mode is looked for, and where contacts
+share a force that equations do not split, the multipliers obey the laws of contact. Among several
+solutions the one of the smallest norm is taken.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.contact_problem import ContactProblem
+from mbd_ros.core.contact_modes.row_solution import Split
 from mbd_ros.core.optimization.box_qp import exchanged, least_norm
 from mbd_ros.core.optimization.least_norm import least_balanced
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -42,12 +43,7 @@ _LAWS = {Touch.STICKS: Touch.MAY, Touch.SLIPS: Touch.MAY_SLIP}
 
 
 class ContactForces:
-    """Finds the multipliers of all rows that give way.
-
-    Attributes:
-        split: How the last ones were found.
-        grip: Share of the coefficients of friction that counts where modes are looked for.
-    """
+    """Solves for the multipliers of all unilateral and bounded rows, contacts among them."""
 
     def __init__(self, rows: ConstraintRows) -> None:
         self._cones = rows.cones
@@ -55,8 +51,6 @@ class ContactForces:
         self._starts = np.array([cone.slots.start for cone in rows.cones], dtype=np.intp)
         self._of_contacts = (self._starts[:, None] + (0, 1, 2)).ravel()
         self._mu = np.array([cone.mu for cone in rows.cones])
-        self.split = Split.ONE
-        self.grip = 1.0
 
     def solve(
         self,
@@ -66,8 +60,9 @@ class ContactForces:
         touches: Sequence[Touch],
         *,
         splits: bool = True,
-    ) -> Array:
-        """The multipliers, shape (m,), fresh.
+        friction: float = 1.0,
+    ) -> tuple[Array, Split]:
+        """Return the multipliers, shape (m,), fresh, and how contacts share their forces.
 
         Args:
             A: Rates w that multipliers add, shape (m, m).
@@ -75,43 +70,37 @@ class ContactForces:
             bounds: Smallest and largest multipliers; those of contacts follow from `touches`.
             touches: One entry a contact.
             splits: Whether it matters how contacts that stick share their force.
+            friction: Share of the coefficients of friction that counts for undecided contacts.
 
         Raises:
-            SolveError: The rows that are on contradict one another, or no forces are found.
+            SolveError: The active rows contradict one another, or no forces are found.
         """
         lower, upper = bounds[0].copy(), bounds[1].copy()
         for start, touch in zip(self._starts.tolist(), touches, strict=True):
             self._bound(lower, upper, start, touch)
-        self.split = Split.ONE
         if Touch.MAY in touches or Touch.MAY_SLIP in touches:
-            return self.lawful(A, w, lower, upper, touches)
+            return self._solve_laws(A, w, lower, upper, touches, friction), Split.ONE
         unit = self._units(A)
-        on = np.isinf(lower) & np.isinf(upper)
-        if not (on | (lower == upper)).all():
-            return _exchanged(A, w, lower, upper, unit)
-        lam = self._balanced(A, w, np.where(on, 0.0, lower), on, unit)
-        if self.split is Split.ONE or not (splits or Touch.SLIPS in touches):
-            return lam
-        if self.is_lawful(lam):
-            return lam
-        return self._shared(lam, A, w, bounds, touches)
+        is_active = np.isinf(lower) & np.isinf(upper)
+        if not (is_active | (lower == upper)).all():
+            return _exchange(A, w, lower, upper, unit), Split.ONE
+        lam, is_split = _balance(A, w, np.where(is_active, 0.0, lower), is_active, unit)
+        if not is_split:
+            return lam, Split.ONE
+        if not (splits or Touch.SLIPS in touches) or self.is_lawful(lam):
+            return lam, Split.LEAST
+        return self._share(lam, A, w, bounds, touches)
 
-    def lawful(
+    def _solve_laws(
         self,
         A: Array,
         w: Array,
         lower: Array,
         upper: Array,
         touches: Sequence[Touch],
+        friction: float,
     ) -> Array:
-        """The multipliers that keep all laws, shape (m,).
-
-        Args:
-            A: As for `solve`.
-            w: As for `solve`.
-            lower: Smallest multipliers, those of contacts that may touch too, shape (m,).
-            upper: Largest ones, shape (m,).
-            touches: One entry a contact.
+        """Return the multipliers that keep the laws of all contacts, shape (m,).
 
         Raises:
             SolveError: There are none.
@@ -122,21 +111,21 @@ class ContactForces:
         on = np.flatnonzero(acts)
         first = np.searchsorted(on, self._starts).tolist()
         cones = tuple(
-            cone._replace(slots=slice(at, at + 3), mu=self.grip * cone.mu)
+            cone._replace(slots=slice(at, at + 3), mu=friction * cone.mu)
             for cone, at, touch in zip(self._cones, first, touches, strict=True)
             if touch is Touch.MAY
         )
         lam = np.where(acts, 0.0, lower)
-        own, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
-        size = np.abs(own.diagonal())
+        delassus, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
+        size = np.abs(delassus.diagonal())
         speed = float((np.abs(rate) / np.sqrt(np.where(size > 0.0, size, 1.0))).max(initial=0.0))
         names = [self._names[i] for i in on]
         try:
-            problem = ContactProblem(own, own.diagonal(), names, cones)
+            problem = ContactProblem(delassus, delassus.diagonal(), names, cones)
             lam[on] = problem.solve(rate, lower[on], upper[on], speed)
         except SolveError as error:
             slips = [at for at, touch in zip(first, touches, strict=True) if touch in _SLIPS]
-            if slips and _jams(own[np.ix_(slips, slips)]):
+            if slips and _jams(delassus[np.ix_(slips, slips)]):
                 where = ", ".join(names[at] for at in slips)
                 raise JammedError(
                     f"friction leaves {where} no consistent acceleration (Painlevé)"
@@ -144,54 +133,38 @@ class ContactForces:
             raise
         return lam
 
-    def _shared(
+    def _share(
         self, lam: Array, A: Array, w: Array, bounds: tuple[Array, Array], touches: Sequence[Touch]
-    ) -> Array:
-        """A share of the same force among contacts that keeps their laws, if there is one."""
+    ) -> tuple[Array, Split]:
+        """Share the same force among contacts so that their laws hold, if there is a way to."""
         may = [_LAWS.get(touch, touch) for touch in touches]
         lower, upper = bounds[0].copy(), bounds[1].copy()
         for start, touch in zip(self._starts.tolist(), may, strict=True):
             self._bound(lower, upper, start, touch)
-        self.split = Split.NONE
         try:
-            found = self.lawful(A, w, lower, upper, may)
+            shared = self._solve_laws(A, w, lower, upper, may, 1.0)
         except SolveError:
-            return lam
-        left, terms = A.dot(found) + w, np.abs(A).dot(np.abs(found)) + np.abs(w)
+            return lam, Split.NONE
+        end, terms = A.dot(shared) + w, np.abs(A).dot(np.abs(shared)) + np.abs(w)
         size = np.sqrt(np.abs(A.diagonal()))
-        terms += size * (size * np.abs(found)).max()  # rounding of forces that cancel there
-        on = np.zeros(len(w), dtype=np.bool_)
+        terms += size * (size * np.abs(shared)).max()  # rounding of forces that cancel there
+        is_active = np.zeros(len(w), dtype=np.bool_)
         for start, touch in zip(self._starts.tolist(), touches, strict=True):
-            on[start : start + 3] = touch is Touch.STICKS
-            on[start] |= touch is Touch.SLIPS
-        if (np.abs(left) > TIE * terms)[on].any():
-            return lam
-        self.split = Split.LAWFUL
-        return found
-
-    def _balanced(
-        self, A: Array, w: Array, bound: Array, on: NDArray[np.bool_], unit: Array
-    ) -> Array:
-        """The multipliers with w = 0 of rows that are on; the smallest where they are several."""
-        lam, rows = np.where(on, 0.0, bound), np.flatnonzero(on)
-        if not len(rows):
-            return lam
-        right = (w + A.dot(lam))[rows]
-        found, is_split = least_balanced(A[np.ix_(rows, rows)], right, unit[rows])
-        if is_split:
-            self.split = Split.LEAST
-        lam[rows] = found
-        return lam
+            is_active[start : start + 3] = touch is Touch.STICKS
+            is_active[start] |= touch is Touch.SLIPS
+        if (np.abs(end) > TIE * terms)[is_active].any():
+            return lam, Split.NONE
+        return shared, Split.LAWFUL
 
     def is_lawful(self, lam: Array) -> bool:
-        """Whether multipliers of contacts that touch push, inside their cones."""
+        """Whether all contacts that touch push, with forces inside their cones."""
         push = lam[self._of_contacts].reshape(-1, 3)
         slack = _WITHIN * float(np.abs(push).max(initial=0.0))
         friction = np.sqrt(np.einsum("ij,ij->i", push[:, 1:], push[:, 1:]))
         return bool((np.maximum(friction, 0.0) <= self._mu * push[:, 0] + slack).all())
 
     def _units(self, A: Array) -> Array:
-        """Multipliers that change the rates of rows about alike, shape (m,)."""
+        """Return the multipliers that change the rates of rows about alike, shape (m,)."""
         size = np.abs(A.diagonal())
         each = size[self._of_contacts].reshape(-1, 3)
         each[:, 0] = each.max(axis=1)  # friction may take from the normal what it moves
@@ -211,14 +184,31 @@ class ContactForces:
             upper[start] = np.inf
 
 
-def _exchanged(A: Array, w: Array, lower: Array, upper: Array, unit: Array) -> Array:
-    """Multipliers of rows that hold or are at a bound, for any A."""
+def _balance(
+    A: Array, w: Array, bound: Array, is_active: NDArray[np.bool_], unit: Array
+) -> tuple[Array, bool]:
+    """Return multipliers with A lam + w = 0 of the active rows, and whether there are several.
+
+    Among several they are those of the smallest norm.
+    """
+    lam, rows = np.where(is_active, 0.0, bound), np.flatnonzero(is_active)
+    if not len(rows):
+        return lam, False
+    right = (w + A.dot(lam))[rows]
+    lam[rows], is_split = least_balanced(A[np.ix_(rows, rows)], right, unit[rows])
+    return lam, is_split
+
+
+def _exchange(A: Array, w: Array, lower: Array, upper: Array, unit: Array) -> Array:
+    """Return multipliers of rows that are active or at a bound, for any A."""
     still = A.diagonal() == 0.0
     scaled = unit[:, None] * A * unit + np.diag(np.where(still, 1.0, 0.0))
-    found = exchanged(scaled, unit * w, lower / unit, upper / unit, solve=least_norm)
-    if found is None:
-        raise SolveError("no forces are found for a contact that slips and the rows beside it")
-    return unit * found
+    lam = exchanged(scaled, unit * w, lower / unit, upper / unit, solve=least_norm)
+    if lam is None:
+        raise SolveError(
+            "no forces were found for a contact that slips and the constraints beside it"
+        )
+    return unit * lam
 
 
 def _jams(A: Array) -> bool:
@@ -229,12 +219,3 @@ def _jams(A: Array) -> bool:
     n = len(A)
     minors = (s for k in range(1, n + 1) for s in itertools.combinations(range(n), k))
     return any(np.linalg.det(A[np.ix_(s, s)]) <= 0.0 for s in itertools.islice(minors, _MINORS))
-
-
-class Split(Enum):
-    """Whether equations alone say how contacts share their forces."""
-
-    ONE = "one"
-    LEAST = "least"  # they do not, and the least norm keeps the laws
-    LAWFUL = "lawful"  # another share of them does
-    NONE = "none"  # none does: the mode is over

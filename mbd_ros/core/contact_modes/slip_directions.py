@@ -27,17 +27,17 @@ STRAY = 1.0e-9  # of a straight slip: how fast it may be across the direction of
 
 
 def slowest(x: State) -> float:
-    """Slip velocity that counts as none."""
+    """Return the slip velocity that counts as none."""
     return NO_SLIP * (1.0 + float(np.abs(x.v).max()))
 
 
-def begun(along: Array) -> Mode:
+def initial_name(along: Array) -> Mode:
     """Name of a slip that begins along an acceleration, shape (2,): it is straight at first."""
     return _finely(along, STRAIGHT) if along.any() else (1, 1)
 
 
-def named(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
-    """Name of a slip.
+def slip_name(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
+    """Return the name of a slip.
 
     Args:
         slip: Velocity, shape (2,).
@@ -59,7 +59,7 @@ def is_fine(name: Mode) -> bool:
 
 
 def direction(slip: Array, name: Mode) -> Array:
-    """Direction that friction is against, shape (2,).
+    """Return the direction that friction is against, shape (2,).
 
     Args:
         slip: Velocity, shape (2,).
@@ -71,8 +71,8 @@ def direction(slip: Array, name: Mode) -> Array:
     return slip / (-size if name and slip.dot(name) < 0.0 else size)
 
 
-def ends(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
-    """How far a slip is from where it ends, or is named anew."""
+def slip_margins(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
+    """Return how far a slip is from where it ends, or is named anew."""
     size, none = math.hypot(*name), slowest(x)
     along = float(slip.dot(name)) / size
     if not is_fine(name):

@@ -18,7 +18,7 @@ _BERNOULLI = (1 / 2, 1 / 12, 0.0, -1 / 720, 0.0, 1 / 30240, 0.0, -1 / 1209600)
 
 
 class Chart:
-    """What q (+) dq means for the configurations of a model.
+    """The map q (+) dq for the configurations of a model.
 
     Free bodies move along screws of their own frame, [m, rad]; all other coordinates add up.
 
@@ -43,15 +43,15 @@ class Chart:
         self.bases = tuple(slice(v, v + _BASE_V) for v in bases)
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
+        """Return the configuration q (+) dq, shape (nq,)."""
         return q + dq if self.is_flat else pin.integrate(self.model, q, dq)
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        """Return the dq with q0 (+) dq = q1, shape (nv,)."""
         return q1 - q0 if self.is_flat else pin.difference(self.model, q0, q1)
 
     def plus(self, x: State, d: Array) -> State:
-        """The state x (+) d, at the time and in the mode of x.
+        """Return the state x (+) d, at the time and in the mode of x.
 
         Args:
             d: Step of q, v and z, shape (2 nv + nz,).
@@ -60,11 +60,11 @@ class Chart:
         return x._replace(q=self.integrate(x.q, d[:n]), v=x.v + d[n : 2 * n], z=x.z + d[2 * n :])
 
     def minus(self, x1: State, x0: State) -> Array:
-        """The d with x0 (+) d = x1 but for time and mode, shape (2 nv + nz,)."""
+        """Return d with x0 (+) d = x1 but for time and mode, shape (2 nv + nz,)."""
         return np.concatenate((self.difference(x0.q, x1.q), x1.v - x0.v, x1.z - x0.z))
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
+        """Return the rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
 
         Args:
             dq: Tangent step [m, rad], shape (nv,).
@@ -83,18 +83,18 @@ class Chart:
 
 
 def chart_of(model: Any, velocities: Iterable[int]) -> Chart:
-    """The chart of some coordinates of a model, whole joints, in the order of the model.
+    """Return the chart of some coordinates of a model, whole joints, in the order of the model.
 
     Args:
         velocities: Where these coordinates stand in v, ascending.
     """
-    chosen, own = {int(v) for v in velocities}, pin.Model()
+    chosen, single_joint = {int(v) for v in velocities}, pin.Model()
     for joint, name in zip(model.joints, model.names, strict=True):
         if joint.nv and joint.idx_v in chosen:
             is_free = joint.nv == _BASE_V
             kind = pin.JointModelFreeFlyer() if is_free else pin.JointModelPX()
-            own.addJoint(0, kind, pin.SE3.Identity(), name)
-    return Chart(own)
+            single_joint.addJoint(0, kind, pin.SE3.Identity(), name)
+    return Chart(single_joint)
 
 
 def _rate_on_screws(dq: Array, v: Array) -> Array:

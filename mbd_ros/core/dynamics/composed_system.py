@@ -1,11 +1,11 @@
-"""Accelerations of a scene: a free motion, and the rows that give way on top of it.
+"""Accelerations of a scene: a free motion, with unilateral and bounded constraints on top of it.
 
     y'' = free(t, q, v, u) + response of y'' to J' lam
 
 The free motion keeps bilateral rows and couplings (`open_chain`, `reduced`, `kkt`). The
 multipliers lam of unilateral and bounded rows come from `complementarity/bounded_rows`, in every
 evaluation, or from `contact_modes/event_rows`, where rows are active or not by the mode of the
-state.
+state. `step` has the same equations on one screen.
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.linearization import Linearization, mode_at
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.mechanism import RigidRows
-from mbd_ros.core.dynamics.system import Accelerator, Derivatives, FreeMotion, System
+from mbd_ros.core.dynamics.system import (
+    Acceleration,
+    Accelerator,
+    Derivatives,
+    FreeMotion,
+    System,
+    writing,
+)
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.rows.constraint import Row
@@ -29,7 +36,7 @@ from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 from mbd_ros.errors import SolveError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import EventRows
     from mbd_ros.core.dynamics.internal_dynamics import Extended
     from mbd_ros.core.dynamics.linearization import FreeDerivatives
 
@@ -37,27 +44,27 @@ Build = Callable[[Loads, tuple[float, float]], System]
 
 
 class ComposedSystem:
-    """Free motion + response to forces + solver of the rows that give way; see `System`.
+    """A `System` of a free motion, its response to forces, and a solver of bounded multipliers.
 
     Args:
-        motion: Accelerations without rows that give way.
-        rigid: Rows of positions that an integrator may have to keep, whoever solves for them.
-        held: The same with rows of velocities; the same object without any.
+        motion: Accelerations without unilateral and bounded rows.
+        rigid: Bilateral rows on positions, which an integrator may have to keep.
+        bilateral: The same with bilateral rows on velocities; the same object without any.
         bounded: Rows with bounded multipliers that are solved for in every evaluation, by Gauss's
             principle.
-        exact: Rows with bounded multipliers that are on or off by the mode, beside those above.
+        event_rows: Rows with bounded multipliers that are active by the mode, beside those above.
         layout: All rows of the scene.
         internals: The internal states of all parts.
-        build: Makes the same system for other loads and gains.
+        build: Builds the same system for other loads and gains.
     """
 
     def __init__(
         self,
         motion: FreeMotion,
         rigid: RigidRows,
-        held: RigidRows,
+        bilateral: RigidRows,
         bounded: BoundedRows | None,
-        exact: ExactRows | None,
+        event_rows: EventRows | None,
         layout: RowLayout,
         internals: Internals,
         build: Build,
@@ -67,7 +74,8 @@ class ComposedSystem:
         self._build = build
         self._mechanism = motion.mechanism
         coordinates = motion.coordinates
-        self.held, self.coordinates = held, coordinates  # of what is integrated, and all joints
+        self.bilateral = bilateral
+        self.coordinates = coordinates
         self.tier = motion.tier
         self.chart = coordinates.chart
         self.robot = self._mechanism.robot
@@ -77,7 +85,7 @@ class ComposedSystem:
         self.nq = self.chart.nq
         self.nv = self.chart.nv
         self.bounded = bounded
-        self.exact = exact
+        self.event_rows = event_rows
         self.layout = layout
         self.internals = internals
         self.constraints = rigid.constraints
@@ -89,60 +97,55 @@ class ComposedSystem:
         self.reduce = coordinates.reduce
         self.lift = coordinates.lift
         self.integrated = coordinates.integrated
-        self.applied = coordinates.applied
         self.rows: tuple[Row, ...] = rigid.rows
         self.multiplier_rows: tuple[Row, ...] = layout.rows
-        solved = np.ones(len(layout.rows), dtype=np.bool_)
-        self._given = bounded if exact is None else exact.solver
-        if self._given is not None:
-            solved[self._given.constraints.slots] = False
-        self._solved = np.flatnonzero(solved)
-        self._accelerators = ModeAccelerators(motion, bounded, exact, internals, self._rates)
-        self._whole: Extended | None = None
+        is_rigid = np.ones(len(layout.rows), dtype=np.bool_)
+        self._solver = bounded if event_rows is None else event_rows.solver
+        if self._solver is not None:
+            is_rigid[self._solver.constraints.slots] = False
+        self._rigid_slots = np.flatnonzero(is_rigid)
+        self._accelerators = ModeAccelerators(motion, bounded, event_rows, internals, self._rates)
+        self._extended: Extended | None = None
         self._free: FreeDerivatives | None = None
         if internals.nz:
-            from mbd_ros.core.dynamics import internal_dynamics as extended
+            from mbd_ros.core.dynamics import internal_dynamics
 
-            self._whole = extended.Extended(self)
-        self._integrated = self if self._whole is None else self._whole
+            self._extended = internal_dynamics.Extended(self)
+        self._integrated = self if self._extended is None else self._extended
 
     @property
     def condition(self) -> float:
         """Condition number of the rows in the mass metric when last factorised."""
-        return self.held.condition
+        return self.bilateral.condition
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion were asked."""
+        """Number of evaluations of the equations of motion."""
         return self._mechanism.evaluations
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
-        """Accelerations, multipliers and the response to forces; as `System.evaluate`."""
-        mechanism, internals = self._mechanism, self.internals
-        mechanism.mode = x.mode
-        try:
-            if not internals.nz:
-                return self._evaluated(x, u)
-            internals.check(x.z)
-            mechanism.z = internals.inside(x.z)
-            zdot = self._rates(x._replace(z=mechanism.z), u)
-            return self._evaluated(x, u)._replace(zdot=zdot)
-        finally:
-            mechanism.mode, mechanism.z = (), NONE
+        """Return accelerations, multipliers and the response to forces at a state."""
+        internals = self.internals
+        if not internals.nz:
+            return self._evaluate(x, u)
+        internals.check(x.z)
+        inside = x._replace(z=internals.inside(x.z))
+        zdot = self._rates(inside, u)
+        return self._evaluate(inside, u)._replace(x=x, zdot=zdot)
 
-    def _evaluated(self, x: State, u: Array | None) -> Evaluation:
-        motion, given, y = self._motion, self._given, self.coordinates.reduce(x)
-        a, force = motion.accelerate(y.t, y.q, y.v, u), None
-        if self.exact is not None:
-            a = self.exact.accelerate(y.t, y.q, y.v, a, x.mode)
-        elif given is not None:
-            a = given.accelerate(motion, y.t, y.q, y.v, a)
-        if given is not None:
-            force = given.force
-        a, lam = motion.solution(y, u, a, force)
-        if given is not None:
-            free, lam = lam, np.empty(len(self.multiplier_rows))
-            lam[self._solved], lam[given.constraints.slots] = free, given.multipliers
+    def _evaluate(self, x: State, u: Array | None) -> Evaluation:
+        motion, y = self._motion, self.coordinates.reduce(x)
+        a = motion.accelerate(y, u)
+        if self._solver is None:
+            a, lam = motion.solution(y, u, a, None)
+            return Evaluation(x, a, NONE, lam, self._response(y))
+        if self.event_rows is not None:
+            a, bounded_lam, force, *_ = self.event_rows.accelerate(y, a)
+        else:
+            a, bounded_lam, force, *_ = self._solver.accelerate(motion, y, a)
+        lam = np.empty(len(self.multiplier_rows))
+        a, lam[self._rigid_slots] = motion.solution(y, u, a, force)
+        lam[self._solver.constraints.slots] = bounded_lam
         return Evaluation(x, a, NONE, lam, self._response(y))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
@@ -150,7 +153,7 @@ class ComposedSystem:
         return self._accelerators.of(mode)
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """Rates z' of the internal states, shape (nz,)."""
+        """Return rates z' of the internal states, shape (nz,)."""
         x = self.coordinates.expand(y)
         return self._rates(x._replace(z=self.internals.inside(y.z)), u)
 
@@ -162,57 +165,57 @@ class ComposedSystem:
         k.refresh(x.q, x.v, internals.reads)
         return internals.at_rest(k, x, self.loads.inputs(x, u))
 
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Return the generalized force tau - h without the constraints, shape (nv,)."""
+        return self.coordinates.applied(State(t, q, v), u)
+
     def applied_with(self, y: State, u: Array | None = None) -> Array:
-        """Generalized force tau - h at a state with internal states, shape (nv,)."""
-        mechanism = self._mechanism
-        before, mechanism.z = mechanism.z, self.internals.inside(y.z)
-        try:
-            return self.applied(y.t, y.q, y.v, u)
-        finally:
-            mechanism.z = before
+        """Return the generalized force tau - h at a state with internal states, shape (nv,)."""
+        inside = State(y.t, y.q, y.v, self.internals.inside(y.z))
+        return self.coordinates.applied(inside, u)
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
-        if self.tier == "aba" and self.bounded is None and self.exact is None:
+        """Return derivatives of y'', to about 1e-6 by differences."""
+        if self.tier == "aba" and self.bounded is None and self.event_rows is None:
             if self._free is None:
                 from mbd_ros.core.dynamics.linearization import FreeDerivatives
 
                 self._free = FreeDerivatives(self._mechanism, self.chart, self.internals)
             return self._free.at(y, u, inputs=inputs)
         field = self._integrated.accelerator(mode_at(self, y, u))
-        linear = Linearization(self._integrated, field)
-        if self._whole is None:
-            return linear.derivatives(y, u, inputs=inputs)
-        n, x = self.nv, self._whole.joined(y)
-        by_q, by_v, _, by_u, *_ = linear.derivatives(x, u, inputs=inputs)
+        linear = Linearization(self._integrated)
+        if self._extended is None:
+            return linear.derivatives(field, y, u, inputs=inputs)
+        n, x = self.nv, self._extended.joined(y)
+        by_q, by_v, _, by_u, *_ = linear.derivatives(field, x, u, inputs=inputs)
         rates = Derivatives(by_q[n:, :n], by_v[n:, :n], by_v[n:, n:], by_u[n:])
         return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 
     def with_loads(self, loads: Loads) -> System:
-        """The same robot and rows, built for other loads."""
+        """Return the same robot and rows, built for other loads."""
         return self._build(loads, self.constraints.gains)
 
     def with_gains(self, kp: float, kd: float) -> System:
-        """The same system, with g'' + kd g' + kp g = 0 of rigid rows; itself if it has them."""
+        """Return the same system with g'' + kd g' + kp g = 0 of bilateral rows."""
         if (kp, kd) == self.constraints.gains:
             return self
         return self._build(self.loads, (kp, kd))
 
     def mass(self, q: Array) -> Mass:
-        """Mass matrix of what is integrated, as an operator."""
+        """Return the mass matrix of what is integrated, as an operator."""
         return Mass(self.coordinates.mass(q))
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of the bilateral rows of positions; brings `condition` up to date."""
+        """Return the factor of the bilateral rows of positions; brings `condition` up to date."""
         J = self._rigid.jacobian(t, q)
         return self._rigid.factorise(self.coordinates.mass(q), J)
 
     def energy(self, y: State) -> float:
-        """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+        """Return the kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
         return self._mechanism.energy(self.coordinates.expand(y))
 
     def _response(self, y: State) -> Callable[[Array], Array]:
-        """The response to forces at a state that was just evaluated, until the next one."""
+        """Return the response to forces at a state that was just evaluated, until the next one."""
         stamp = self._mechanism.evaluations
 
         def respond(forces: Array) -> Array:
@@ -224,7 +227,7 @@ class ComposedSystem:
         return respond
 
     def _rates(self, x: State, u: Array | None) -> Array:
-        """The z' at a state of all joints, internal states inside their bounds."""
+        """Return z' at a state of all joints, internal states inside their bounds."""
         internals, k, loads = self.internals, self._mechanism.k, self.loads
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x, loads.inputs(x, u))
@@ -234,9 +237,9 @@ class ModeAccelerators:
     """Accelerators of a `ComposedSystem`, made once a mode.
 
     Args:
-        motion: Accelerations without rows that give way.
-        bounded: Rows that are solved for in every evaluation.
-        exact: Rows that are on or off by the mode.
+        motion: Accelerations without unilateral and bounded rows.
+        bounded: Bounded rows that are solved for in every evaluation.
+        event_rows: Rows that are active by the mode.
         internals: The internal states of all parts.
         rates: Rates of internal states at a state of all joints.
     """
@@ -245,81 +248,53 @@ class ModeAccelerators:
         self,
         motion: FreeMotion,
         bounded: BoundedRows | None,
-        exact: ExactRows | None,
+        event_rows: EventRows | None,
         internals: Internals,
         rates: Callable[[State, Array | None], Array],
     ) -> None:
         self._motion = motion
         self._mechanism = motion.mechanism
         self._bounded = bounded
-        self._exact = exact
+        self._event_rows = event_rows
         self._internals = internals
         self._rates = rates
         self._made = dict[Mode, Accelerator]()
 
     def of(self, mode: Mode) -> Accelerator:
-        """The function that writes y'' in a mode, and z' with internal states."""
+        """Return the function that writes y'' in a mode, and z' with internal states."""
         if mode not in self._made:
-            self._made[mode] = self._written(mode)
+            self._made[mode] = self._accelerator(mode)
         return self._made[mode]
 
-    def _written(self, mode: Mode) -> Accelerator:
-        mechanism, write = self._mechanism, self._without_exact()
-        if self._exact is not None and not self._exact.is_idle(mode):
-            write = self._with_exact(self._exact, mode)
+    def _accelerator(self, mode: Mode) -> Accelerator:
+        accelerate = self._acceleration(mode)
         if self._internals.nz:
-            return self._with_rates(write, mode)
-        if not mode or mechanism.loads.is_empty:  # nobody reads the mode
-            return write
+            return self._with_rates(accelerate, mode)
+        if accelerate == self._motion.accelerate:
+            return self._motion.accelerator(mode)
+        return writing(accelerate, mode)
 
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            mechanism.mode = mode
-            try:
-                write(t, q, v, u, out)
-            finally:
-                mechanism.mode = ()
+    def _acceleration(self, mode: Mode) -> Acceleration:
+        """Return the function from a state in a mode, and u, to y''."""
+        motion, bounded, rows = self._motion, self._bounded, self._event_rows
+        if rows is not None and not rows.is_idle(mode):
+            add_forces = rows.bound_forces(mode)
+            if add_forces is not None:
+                return lambda y, u: add_forces(y, motion.accelerate(y, u))
+            return lambda y, u: rows.accelerate(y, motion.accelerate(y, u), splits=False).a
+        if bounded is not None:
+            return lambda y, u: bounded.accelerate(motion, y, motion.accelerate(y, u)).a
+        return motion.accelerate
 
-        return accelerate
-
-    def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
-        mechanism, inside, rates = self._mechanism, self._internals.inside, self._rates
+    def _with_rates(self, accelerate: Acceleration, mode: Mode) -> Accelerator:
+        rates, inside = self._rates, self._internals.inside
         expand, is_constant = self._motion.coordinates.expand, self._internals.is_constant
 
-        def accelerate(
+        def write(
             t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
         ) -> None:
-            before = mechanism.mode, mechanism.z
-            mechanism.mode, mechanism.z = mode, inside(z)
-            try:
-                if is_constant:
-                    z_out[...] = 0.0
-                else:
-                    z_out[...] = rates(expand(State(t, q, v, mechanism.z, mode)), u)
-                write(t, q, v, u, a_out)
-            finally:
-                mechanism.mode, mechanism.z = before
+            y = State(t, q, v, inside(z), mode)
+            z_out[...] = 0.0 if is_constant else rates(expand(y), u)
+            a_out[...] = accelerate(y, u)
 
-        return accelerate
-
-    def _with_exact(self, exact: ExactRows, mode: Mode) -> Accelerator:
-        motion, pushed = self._motion, exact.pushing(mode)
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            if pushed is None:
-                out[...] = exact.accelerate(t, q, v, a, mode, splits=False)
-            else:
-                out[...] = pushed(t, q, v, a)
-
-        return accelerate
-
-    def _without_exact(self) -> Accelerator:
-        motion, bounded = self._motion, self._bounded
-        if bounded is None:
-            return motion.accelerator()
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            out[...] = bounded.accelerate(motion, t, q, v, a)
-
-        return accelerate
+        return write

@@ -34,9 +34,9 @@ _LEFT = 1.0e-6  # of a rate: what a correction may leave of it
 
 
 class Extended:
-    """What integrators ask of a system, with internal states beside the velocities.
+    """A system for integrators, with internal states as further velocities.
 
-    Whatever else they ask is that of the system.
+    All other attributes are those of the system.
 
     Args:
         system: The system, with internal states.
@@ -45,7 +45,7 @@ class Extended:
         chart: Of configurations beside the integrals of internal states.
         nq: Size of such a configuration.
         nv: Size of velocities and internal states together.
-        held: All bilateral rows, as that of the system.
+        bilateral: All bilateral rows, as those of the system.
         residual: Of the bilateral rows of positions, as that of the system; so are `jacobian` and
             `rate`.
         upper: Largest velocities, inf but for internal states, shape (nv,).
@@ -63,7 +63,7 @@ class Extended:
         self._nq = system.nq
         self._nv = system.nv
         self._nz = internals.nz
-        self.held = ExtendedRows(system.held, system.nq, internals.nz)
+        self.bilateral = ExtendedRows(system.bilateral, system.nq, internals.nz)
         rows = ExtendedRows(system, system.nq, internals.nz)
         self.residual = rows.residual
         self.jacobian = rows.jacobian
@@ -73,7 +73,7 @@ class Extended:
         return getattr(self.system, name)
 
     def joined(self, y: State, integrals: Array | None = None) -> State:
-        """A state of what the system integrates, with its internal states beside v.
+        """Return a state of what the system integrates, with its internal states beside v.
 
         Args:
             y: State with internal states.
@@ -84,16 +84,16 @@ class Extended:
         return State(y.t, q, v, NONE, y.mode)
 
     def parted(self, x: State) -> State:
-        """The state of what the system integrates, internal states inside their bounds."""
+        """Return the state of what the system integrates, internal states inside their bounds."""
         z = self.system.internals.inside(x.v[self._nv :])
         return State(x.t, x.q[: self._nq], x.v[: self._nv], z, x.mode)
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes accelerations and rates in a mode."""
+        """Return the function of t, q, v, u that writes accelerations and rates in a mode."""
         return self.adapted(self.system.accelerator(mode))
 
     def adapted(self, write: Accelerator) -> Accelerator:
-        """A function of t, q, v, u from one of t, q, v, z, u."""
+        """Return a function of t, q, v, u from one of t, q, v, z, u."""
         n, m = self._nq, self._nv
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
@@ -109,29 +109,29 @@ class Extended:
         return Derivatives(by_q, by_v, np.zeros((len(by_q), 0)), by_u)
 
     def with_loads(self, loads: Any) -> Extended:
-        """The same for other loads."""
+        """Return the same for other loads."""
         return Extended(self.system.with_loads(loads))
 
     def expand(self, x: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         return self.system.expand(self.parted(x))
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
+        """Return the state of what is integrated from that of all joints."""
         return self.joined(self.system.reduce(x))
 
     def lift(self, x: State, a: Array) -> Array:
-        """Accelerations of all joints."""
+        """Return accelerations of all joints."""
         return self.system.lift(self.parted(x), a[: self._nv])
 
     def mass(self, q: Array) -> Mass:
-        """Mass matrix; internal states have the mass 1."""
+        """Return the mass matrix; internal states have the mass 1."""
         M, m = np.eye(self.nv), self._nv
         M[:m, :m] = self.system.mass(q[: self._nq]).dense
         return Mass(M)
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h beside the rates."""
+        """Return the generalized force tau - h beside the rates."""
         y = self.parted(State(t, q, v))
         return np.concatenate((self.system.applied_with(y, u), self.system.rates(y, u)))
 
@@ -160,21 +160,21 @@ class ExtendedChart:
         self.sizes = np.concatenate((ones, np.full(nz, np.inf), ones, sizes))
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
+        """Return the configuration q (+) dq, shape (nq,)."""
         if self.is_flat:
             return q + dq
         n, m = self._chart.nq, self._chart.nv
         return np.concatenate((self._chart.integrate(q[:n], dq[:m]), q[n:] + dq[m:]))
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        """Return the dq with q0 (+) dq = q1, shape (nv,)."""
         if self.is_flat:
             return q1 - q0
         n = self._chart.nq
         return np.concatenate((self._chart.difference(q0[:n], q1[:n]), q1[n:] - q0[n:]))
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
+        """Return the rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
         if self.is_flat:
             return v
         m = self._chart.nv
@@ -200,20 +200,20 @@ class ExtendedRows:
         return getattr(self._rows, name)
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q), shape (m,)."""
+        """Return g(t, q), shape (m,)."""
         return self._rows.residual(t, q[: self._nq])
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv + nz)."""
+        """Return dg/dq, shape (m, nv + nz)."""
         return np.hstack((self._rows.jacobian(t, q[: self._nq]), self._none))
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
         return self._rows.rate(t, q[: self._nq])
 
 
 def settled(system: System, y: State, u: Array | None) -> State:
-    """A state whose internal states are as given, and else at their first values.
+    """Return a state whose internal states are as given, and else at their first values.
 
     Those whose equilibrium is asked for are where their rates are 0, or at a bound beyond which
     these would take them: where their part says so, else by Newton's method with shorter steps
@@ -237,33 +237,33 @@ def settled(system: System, y: State, u: Array | None) -> State:
     def all_rates(values: Array) -> Array:
         moved = z.copy()
         moved[free] = values
-        found: Array = system.rates(y._replace(z=moved), u)
-        return found
+        rates_there: Array = system.rates(y._replace(z=moved), u)
+        return rates_there
 
     rows = _determining(all_rates, z[free], free, internals.upper[free])
 
     def rates(values: Array) -> Array:
-        found: Array = all_rates(values)[rows]
-        return found
+        settled_rates: Array = all_rates(values)[rows]
+        return settled_rates
 
     bounds = internals.lower[free], internals.upper[free]
-    found = _at_rest(rates, z[free], bounds)
-    if found is None:
-        found = _at_rest(rates, _followed(rates, z[free], bounds), bounds)
-    if found is None:
+    settled_rates = _at_rest(rates, z[free], bounds)
+    if settled_rates is None:
+        settled_rates = _at_rest(rates, _followed(rates, z[free], bounds), bounds)
+    if settled_rates is None:
         names = ", ".join(internals.names[i] for i in free)
         raise SolveError(
             f"no equilibrium of {names} at t = {y.t:.9g} s was found; give values in "
             "initial.internal"
         )
-    z[free] = found
+    z[free] = settled_rates
     return y._replace(z=z)
 
 
 def _determining(
     rates: Callable[[Array], Array], z: Array, free: NDArray[np.intp], upper: Array
 ) -> NDArray[np.intp]:
-    """The rate that each state is found from, shape (n,): its own, as a rule.
+    """Return the rate that each state is found from, shape (n,): its own, as a rule.
 
     A state that none of these rates depends on, such as the angle of a motor whose speed is given,
     is found from the first rate that it changes, such as that of the speed.
@@ -280,7 +280,7 @@ def _determining(
 
 
 def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:
-    """Differences of m rates, shape (m, n)."""
+    """Return differences of m rates, shape (m, n)."""
     J = np.empty((len(r), len(z)))
     for i in range(len(z)):
         moved = z.copy()
@@ -305,8 +305,8 @@ def _at_rest(
         if not np.isfinite(r).all():
             return None
         J = _slopes(rates, z, r, upper)
-        held = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
-        step, is_solved = _correction(J, r, held)
+        is_at_bound = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
+        step, is_solved = _correction(J, r, is_at_bound)
         size = _size(step, z)
         if size <= _ROUNDING or (size <= _AT_REST and size > 0.5 * last):
             return z if is_solved else None
@@ -314,7 +314,7 @@ def _at_rest(
         while True:
             nearer = np.minimum(np.maximum(z + share * step, lower), upper)
             there = rates(nearer)
-            following = _size(_correction(J, there, held)[0], z)
+            following = _size(_correction(J, there, is_at_bound)[0], z)
             if following <= (1.0 - 0.5 * share) * size or size <= _AT_REST:
                 break
             share *= 0.5
@@ -324,9 +324,9 @@ def _at_rest(
     return None
 
 
-def _correction(J: Array, r: Array, held: NDArray[np.bool_]) -> tuple[Array, bool]:
-    """The step with r + J step = 0 of what no bound holds, and whether there is one."""
-    step, free = np.zeros(len(r)), ~held
+def _correction(J: Array, r: Array, is_at_bound: NDArray[np.bool_]) -> tuple[Array, bool]:
+    """Return the step with r + J step = 0 of what no bound holds, and whether there is one."""
+    step, free = np.zeros(len(r)), ~is_at_bound
     part = J[np.ix_(free, free)]
     size = np.abs(part).max(axis=1, initial=0.0)
     size[size == 0.0] = 1.0
@@ -341,7 +341,7 @@ def _size(step: Array, z: Array) -> float:
 
 
 def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Array]) -> Array:
-    """Where the states go by themselves, in implicit steps of growing length.
+    """Return where the states go by themselves, in implicit steps of growing length.
 
     Source: C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35, 1998, 508-523.
     """
@@ -351,9 +351,9 @@ def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Ar
     for _ in range(_FOLLOWED):
         if not np.isfinite(r).all():
             break
-        held = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
+        is_at_bound = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
         J = _slopes(rates, z, r, upper) - np.eye(len(z)) / length
-        step, _ = _correction(J, r, held)
+        step, _ = _correction(J, r, is_at_bound)
         if _size(step, z) > 1.0:
             length *= 0.25
             continue

@@ -17,11 +17,10 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.mechanism import Mechanism, RigidRows
 from mbd_ros.core.dynamics.open_chain import AllJoints
 from mbd_ros.core.dynamics.system import Accelerator, writing
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError
 
-_new_state = tuple.__new__  # half the time of the constructor
 _multiply, _bias = np.multiply, pin.nonLinearEffects
 _FACTORISED = eigenpy.ComputationInfo.Success
 _REGULAR = NEAR_TOGGLE**-2.0
@@ -60,21 +59,22 @@ class Kkt:
         self._cholesky = eigenpy.LLT(m)
         self._least = 0.0 if sizes is None else _REGULAR * float(sizes.square.min())
 
-    def accelerate(
-        self, t: float, q: Array, v: Array, u: Array | None, added: Array | None = None
-    ) -> Array:
-        """Accelerations under the loads and an added force; the next call overwrites them."""
+    def accelerate(self, y: State, u: Array | None, added: Array | None = None) -> Array:
+        """Return the accelerations under the loads and an added force.
+
+        The next call overwrites them.
+        """
         mechanism, constraints = self.mechanism, self._constraints
-        x = _new_state(State, (t, q, v, mechanism.z, mechanism.mode))
+        _, q, v, _, _ = y
         mechanism.evaluations += 1
         k = mechanism.k
         if self._reads:
             k.refresh(q, v, self._reads)
         if constraints.is_corrected:
-            J, drift = constraints.conditions(k, x)
+            J, drift = constraints.conditions(k, y)
         else:
-            J, drift = constraints.accelerations(k, x)
-        tau = mechanism.zero if self._loads.is_empty else self._loads.total(k, x, u)
+            J, drift = constraints.accelerations(k, y)
+        tau = mechanism.zero if self._loads.is_empty else self._loads.total(k, y, u)
         if added is not None:
             tau = tau + added
         self._row_jacobian, self._lam = J, None
@@ -96,30 +96,30 @@ class Kkt:
         a, self._lam = self._by_rank(q, v, tau, J, drift)
         return a
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
-        return writing(self.accelerate)
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function that writes the result of `accelerate` in a mode."""
+        return writing(self.accelerate, mode)
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """The same q, v and a."""
+        """Return the same q, v and a."""
         return q, v, a
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """Accelerations that forces add while the rows hold, shape as `forces`."""
+        """Return accelerations that forces add while the rows hold, shape as `forces`."""
         M, J = self.mechanism.mass(q), self._row_jacobian
         factor = self._rigid.factorise(M, J)
         free = np.linalg.solve(M, forces)
         moved = free - factor.motion(J.dot(free))
-        held = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
-        moved[:, held] = 0.0
+        is_held_still = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
+        moved[:, is_held_still] = 0.0
         return moved
 
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations and multipliers of the rows."""
+        """Return accelerations and multipliers of the rows."""
         if force is not None:
-            a = self.accelerate(y.t, y.q, y.v, u, force)
+            a = self.accelerate(y, u, force)
         a = np.array(a)
         return a, np.array(self.mechanism.data.lambda_c) if self._lam is None else self._lam
 

@@ -35,38 +35,43 @@ class Linearization:
 
     Args:
         system: A `System`, or an `Extended` one.
-        field: Writes the f.
-
-    Attributes:
-        stiffness: df/dq at the last update, shape (nv, nv); a new array each time.
-        damping: df/dv, same shape.
     """
 
-    def __init__(self, system: Any, field: Accelerator) -> None:
+    def __init__(self, system: Any) -> None:
         self._system = system
-        self._field = field
         self._step, self._base, self._moved = np.zeros((3, system.nv))
         self._upper: Array | None = getattr(system, "upper", None)
-        self.stiffness = np.zeros((system.nv, system.nv))
-        self.damping = np.zeros((system.nv, system.nv))
 
-    def update(self, t: float, q: Array, v: Array, u: Array | None) -> None:
-        """Differentiate at a state."""
-        field, step, there = self._field, self._step, self._moved
-        chart, (base, self.damping) = self._system.chart, self.by_velocity(t, q, v, u)
-        self.stiffness = np.empty((len(step), len(step)))
+    def slopes(
+        self, field: Accelerator, t: float, q: Array, v: Array, u: Array | None
+    ) -> tuple[Array, Array]:
+        """Return stiffness df/dq and damping df/dv at a state, shape (nv, nv) each.
+
+        Args:
+            field: Function of t, q, v, u that writes f into its fifth argument.
+            t: Time [s].
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
+            u: Inputs, as for `System.evaluate`.
+        """
+        step, there = self._step, self._moved
+        chart, (base, damping) = self._system.chart, self.by_velocity(field, t, q, v, u)
+        stiffness = np.empty((len(step), len(step)))
         lengths = self._lengths(t, q)
         for i in range(len(step)):
             step[i] = lengths[i]
             moved = chart.integrate(q, step)
             length = moved[i] - q[i] if chart.is_flat else step[i]
             field(t, moved, v, u, there)
-            self.stiffness[:, i] = (there - base) / length
+            stiffness[:, i] = (there - base) / length
             step[i] = 0.0
+        return stiffness, damping
 
-    def by_velocity(self, t: float, q: Array, v: Array, u: Array | None) -> tuple[Array, Array]:
-        """The f at a state, not to be written to, shape (nv,), and df/dv, shape (nv, nv)."""
-        field, step, base, there = self._field, self._step, self._base, self._moved
+    def by_velocity(
+        self, field: Accelerator, t: float, q: Array, v: Array, u: Array | None
+    ) -> tuple[Array, Array]:
+        """Return f at a state, read-only, shape (nv,), and df/dv, shape (nv, nv)."""
+        step, base, there = self._step, self._base, self._moved
         field(t, q, v, u, base)
         damping = np.empty((len(step), len(step)))
         for i in range(len(step)):
@@ -79,25 +84,34 @@ class Linearization:
             step[i] = 0.0
         return base, damping
 
-    def derivatives(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
-        """Derivatives at a state; those by u cost an evaluation each where they are wanted."""
-        self.update(y.t, y.q, y.v, u)
-        by_u = self._by_inputs(y, u) if inputs else np.zeros((len(self._step), 0))
-        none = np.zeros((len(self._step), len(y.z)))
-        return Derivatives(self.stiffness, self.damping, none, by_u)
+    def derivatives(
+        self, field: Accelerator, y: State, u: Array | None, *, inputs: bool
+    ) -> Derivatives:
+        """Return the derivatives at a state; those by u cost an evaluation each.
 
-    def _by_inputs(self, y: State, u: Array | None) -> Array:
-        given = np.array(self._system.loads.idle if u is None else u, dtype=np.float64)
-        found = np.empty((len(self._step), len(given)))
-        for i in range(len(given)):
-            moved = given.copy()
-            moved[i] += _STEP * max(1.0, abs(float(given[i])))
-            self._field(y.t, y.q, y.v, moved, self._moved)
-            found[:, i] = (self._moved - self._base) / (moved[i] - given[i])
-        return found
+        Args:
+            field: Function of t, q, v, u that writes f into its fifth argument.
+            y: State of what is integrated.
+            u: Inputs, as for `System.evaluate`.
+            inputs: Whether the derivatives by u are wanted.
+        """
+        stiffness, damping = self.slopes(field, y.t, y.q, y.v, u)
+        by_u = self._by_inputs(field, y, u) if inputs else np.zeros((len(self._step), 0))
+        none = np.zeros((len(self._step), len(y.z)))
+        return Derivatives(stiffness, damping, none, by_u)
+
+    def _by_inputs(self, field: Accelerator, y: State, u: Array | None) -> Array:
+        inputs = np.array(self._system.loads.idle if u is None else u, dtype=np.float64)
+        slopes = np.empty((len(self._step), len(inputs)))
+        for i in range(len(inputs)):
+            moved = inputs.copy()
+            moved[i] += _STEP * max(1.0, abs(float(inputs[i])))
+            field(y.t, y.q, y.v, moved, self._moved)
+            slopes[:, i] = (self._moved - self._base) / (moved[i] - inputs[i])
+        return slopes
 
     def _lengths(self, t: float, q: Array) -> Array:
-        """Steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
+        """Return steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
 
         A joint that depends on one by a steep coupling function moves further.
         """
@@ -112,18 +126,23 @@ class Linearization:
 
 
 def mode_at(system: System, y: State, u: Array | None) -> Mode:
-    """The mode of the exact rows at a state: across an event a difference quotient is no slope.
+    """Return the mode of the event-driven rows at a state.
+
+    Derivatives are taken in one mode: across an event a difference quotient is no slope.
 
     Args:
-        y: State of what it integrates; its own mode, if it has one.
+        system: The system.
+        y: State of what it integrates; its own mode is returned, if it has one.
+        u: Inputs there.
     """
-    exact = system.exact
-    if exact is None or y.mode:
-        return () if exact is None else y.mode
-    ways, near = exact.ways(y)
-    exact.solve(y, u, ways, near)
-    found = exact.found()
-    return tuple(found[i] if i in near else way for i, way in enumerate(ways))
+    rows = system.event_rows
+    if rows is None or y.mode:
+        return () if rows is None else y.mode
+    mode, near = rows.modes_by_distance(y)
+    if not near:
+        return mode
+    decided = rows.decided_mode(rows.solve(y, u, mode, near))
+    return tuple(decided[i] if i in near else side for i, side in enumerate(mode))
 
 
 class FreeDerivatives:
@@ -150,7 +169,7 @@ class FreeDerivatives:
         self._moving = [part for part in self._varying if part.internal]
 
     def at(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
-        """Derivatives of the accelerations and rates at a state."""
+        """Return derivatives of the accelerations and rates at a state."""
         mechanism, nv, nz = self._mechanism, self._nv, self._nz
         u = mechanism.loads.inputs(y, u)
         force = self._loads(y, u)
@@ -186,21 +205,24 @@ class FreeDerivatives:
         return np.concatenate((force, internals.rates(mechanism.k, x, u)))
 
     def _slopes(self, y: State, u: Array, force: Array, nu: int) -> Array | None:
-        """Of `_loads` by q, v, z and u, shape (nv + nz, 2 nv + nz + nu); None for zero."""
+        """Return the slopes of `_loads` by q, v, z and u; None for zero.
+
+        The shape is (nv + nz, 2 nv + nz + nu).
+        """
         if self._mechanism.loads.is_empty:
             return None
         nv, nz = self._nv, self._nz
-        found = np.empty((nv + nz, 2 * nv + nz + nu))
-        found[:, : 2 * nv + nz] = self._constant
+        slopes = np.empty((nv + nz, 2 * nv + nz + nu))
+        slopes[:, : 2 * nv + nz] = self._constant
         if self._varying:
-            self._differ(y, u, found)
+            self._differ(y, u, slopes)
         for i in range(nu):
             moved = u.copy()
             moved[i] += _STEP * max(1.0, abs(float(u[i])))
-            found[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
-        return found
+            slopes[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
+        return slopes
 
-    def _differ(self, y: State, u: Array, found: Array) -> None:
+    def _differ(self, y: State, u: Array, slopes: Array) -> None:
         """Add the slopes of the loads that do not know them, by q, v and z."""
         nv, here = self._nv, self._of_varying(y, u)
         inside, step = self._internals.upper, np.zeros(2 * nv + self._nz)
@@ -208,11 +230,11 @@ class FreeDerivatives:
             step[i] = _STEP
             if i >= 2 * nv and y.z[i - 2 * nv] + _STEP > inside[i - 2 * nv]:
                 step[i] = -_STEP
-            found[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
+            slopes[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
             step[i] = 0.0
 
     def _of_varying(self, y: State, u: Array) -> Array:
-        """Forces and rates of the loads that do not know their slopes, shape (nv + nz,)."""
+        """Return forces and rates of the loads that do not know their slopes, shape (nv + nz,)."""
         mechanism, internals, nv = self._mechanism, self._internals, self._nv
         x = y._replace(z=internals.inside(y.z)) if self._nz else y
         k, total = mechanism.k, np.zeros(nv + self._nz)
@@ -225,7 +247,7 @@ class FreeDerivatives:
 
 
 def balance_of(system: Any) -> Any:
-    """The balance of a system that has one of its own, else one by differences."""
+    """Return the balance of a system that has one of its own, else one by differences."""
     own = getattr(system, "balance", None)
     return Balance(system) if own is None else own(system)
 
@@ -241,29 +263,28 @@ class Balance:
 
     def __init__(self, system: Any) -> None:
         self._system = system
-        self._kept = system.held
-        self._linearization = Linearization(system, self._write)
+        self._bilateral = system.bilateral
+        self._linearization = Linearization(system)
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
-        """The f, shape (nv,).
+        """Return the f, shape (nv,).
 
         Args:
             q: Configuration of what is integrated.
             u: Inputs, as for `System.evaluate`.
             a: Accelerations, shape (nv,).
-            lam: Multipliers of the rows that are held.
+            lam: Multipliers of the bilateral rows.
         """
         system = self._system
         force: Array = system.applied(t, q, v, u) - system.mass(q).dot(a)
-        return force + lam.dot(self._kept.jacobian(t, q)) if self._kept.rows else force
+        return force + lam.dot(self._bilateral.jacobian(t, q)) if self._bilateral.rows else force
 
     def slopes(
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array]:
-        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
-        self._at = a, lam
-        self._linearization.update(t, q, v, u)
-        return self._linearization.stiffness, self._linearization.damping
+        """Return the derivatives of f by q and by v, shape (nv, nv) each."""
 
-    def _write(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        out[...] = self.force(t, q, v, u, *self._at)
+        def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            out[...] = self.force(t, q, v, u, a, lam)
+
+        return self._linearization.slopes(write, t, q, v, u)

@@ -36,16 +36,16 @@ class Mass:
         self.dense: Array = np.array(dense)
 
     def dot(self, v: Array) -> Array:
-        """M v, shape as v."""
+        """Return M v, shape as v."""
         product: Array = self.dense.dot(v)
         return product
 
     def diagonal(self) -> Array:
-        """Entries of the diagonal, shape (nv,)."""
+        """Return entries of the diagonal, shape (nv,)."""
         return self.dense.diagonal()
 
     def solve(self, force: Array) -> Array:
-        """M^-1 force, shape as `force`, (nv,) or (nv, k)."""
+        """Return M^-1 force, shape as `force`, (nv,) or (nv, k)."""
         a: Array = self._factor.solve(force).reshape(force.shape)  # eigenpy flattens one column
         return a
 
@@ -81,7 +81,7 @@ def check_mass(system: Any, q: Array) -> None:
 
 
 def _least_resistance(M: Array) -> tuple[float, Array]:
-    """About the smallest eigenvalue and its direction of length one, from pivots.
+    """Return about the smallest eigenvalue and its direction of length one, from pivots.
 
     With P M P' = L D L' and the smallest pivot d_k, the x of L' P x = e_k has x' M x = d_k. Where
     d_k is far below the other pivots, as in a singular matrix, x is the direction without mass.
@@ -108,7 +108,7 @@ def _reason(system: Any, free: Array, is_massless: bool) -> str:
         titles[int(v)] for v, share in zip(at, free, strict=True) if v in titles and share > _SHARE
     ]
     movers = list(dict.fromkeys(loose)) or movers
-    if is_massless and system.held.rows:
+    if is_massless and system.bilateral.rows:
         return (
             f"{movers[0]} moves nothing that has mass: tier {system.tier} starts from the mass "
             "matrix without the constraints, which is singular; give its link an <inertial> with "

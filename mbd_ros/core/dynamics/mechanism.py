@@ -1,11 +1,10 @@
-"""A robot with what acts on its joints and with rows that hold.
+"""A robot with its loads and bilateral rows, and its response to impulses.
 
     Mechanism        M a + h = tau           all joints under loads, and the Pinocchio `Data`
-    RigidRows        g(t, q) = 0             rows that hold whatever multipliers that takes
+    RigidRows        g(t, q) = 0             bilateral rows, which hold with any multiplier
     ImpulseResponse  M (v+ - v) = J' p       while bilateral rows keep J_b v+ = goal
 
-The ways of solving for accelerations, and the steps in which velocities jump, are composed of
-them.
+The formulations of accelerations, and time steps in which velocities jump, are composed of them.
 """
 
 from copy import copy
@@ -20,7 +19,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.delassus import RowFactor, UsualSizes, usual_sizes
-from mbd_ros.core.state import NONE, Array, Mode, State
+from mbd_ros.core.state import Array, State
 
 
 class Mechanism:
@@ -30,16 +29,14 @@ class Mechanism:
     grows with the distance from its origin.
 
     Args:
-        loads: What acts on its joints.
+        loads: Loads on its joints.
 
     Attributes:
         model: The Pinocchio model.
         data: Its `Data`.
         k: Kinematics over `data`.
-        zero: No velocity and no force, shape (nv,), not to be written to.
-        evaluations: How often the equations of motion were asked.
-        mode: Of the state that is evaluated, for the loads; () in accelerators.
-        z: Internal states of the state that is evaluated, for loads and rows.
+        zero: Zero velocity or force, shape (nv,), read-only.
+        evaluations: Number of evaluations of the equations of motion.
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
@@ -50,15 +47,13 @@ class Mechanism:
         self.k = Kinematics(robot, self.data)
         self.zero: Array = np.zeros(self.model.nv)
         self.evaluations = 0
-        self.mode: Mode = ()
-        self.z: Array = NONE
 
-    def tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """Loads at a state of all joints, shape (nv,), not to be written to."""
+    def tau(self, x: State, u: Array | None) -> Array:
+        """Return the force of the loads at a state of all joints, shape (nv,), read-only."""
         if self.loads.is_empty:
             return self.zero
-        self.k.refresh(q, v, self.loads.reads)
-        return self.loads.total(self.k, State(t, q, v, self.z, self.mode), u)
+        self.k.refresh(x.q, x.v, self.loads.reads)
+        return self.loads.total(self.k, x, u)
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""
@@ -69,21 +64,21 @@ class Mechanism:
         return M + sum(load.inertia(self.k, x) for load in self.loads.heavy)
 
     def added(self, q: Array, a: Array) -> Array:
-        """What accelerations ask of inertia that loads add, shape (nv,)."""
+        """Return what accelerations ask of inertia that loads add, shape (nv,)."""
         x = self.placed(0.0, q, self.loads.reads)
         return sum((load.inertia(self.k, x).dot(a) for load in self.loads.heavy), self.zero)
 
     def bias(self, q: Array, v: Array) -> Array:
-        """The h of M a + h = tau, shape (nv,), overwritten by the next call."""
+        """Return h of M a + h = tau, shape (nv,), overwritten by the next call."""
         return pin.nonLinearEffects(self.model, self.data, q, v)
 
     def placed(self, t: float, q: Array, reads: Reads) -> State:
-        """State at rest of all joints, with k as far as it is read."""
+        """Return the state at rest of all joints, with k as far as it is read."""
         self.k.refresh(q, self.zero, reads)
         return State(t, q, self.zero)
 
     def energy(self, x: State) -> float:
-        """Kinetic and potential energy [J] at a state of all joints."""
+        """Return the kinetic and potential energy [J] at a state of all joints."""
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, x.q, x.v))
         self.k.refresh(x.q, x.v, min(self.loads.reads, Reads.POSITION))
         for load in self.loads.heavy:
@@ -95,11 +90,11 @@ class RigidRows:
     """g(t, q) = 0 of all joints.
 
     Args:
-        sizes: What masses and rows usually are, where that is known.
+        sizes: Characteristic sizes of masses and rows, where they are known.
 
     Attributes:
         rows: One entry a row.
-        sizes: What masses and rows usually are; None without rows.
+        sizes: Characteristic sizes of masses and rows; None without rows.
         condition: Condition number of the rows in the mass metric when last factorised, for
             reports; 1 without rows.
     """
@@ -120,21 +115,21 @@ class RigidRows:
         self._usual = None if self.sizes is None else self.sizes.mobility
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q), shape (m,); 0 for rows of velocities."""
+        """Return g(t, q), shape (m,); 0 for rows of velocities."""
         x = self._mechanism.placed(t, q, self._of_g)
         return self.constraints.residual(self._mechanism.k, x)
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv), fresh."""
+        """Return dg/dq, shape (m, nv), fresh."""
         x = self._mechanism.placed(t, q, self._of_J)
         return self.constraints.jacobian(self._mechanism.k, x)
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
         return self.constraints.rate(self._mechanism.k, State(t, q, self._mechanism.zero))
 
     def factorise(self, M: Array, J: Array) -> RowFactor:
-        """Factor of the rows; brings `condition` up to date.
+        """Return the factor of the rows; brings `condition` up to date.
 
         Args:
             M: Mass matrix, shape (nv, nv).
@@ -145,7 +140,7 @@ class RigidRows:
         return factor
 
     def factor_at(self, t: float, q: Array) -> RowFactor:
-        """Factor at a configuration of all joints; brings `condition` up to date."""
+        """Return the factor at a configuration of all joints; brings `condition` up to date."""
         J = self.jacobian(t, q)
         return self.factorise(self._mechanism.mass(q), J)
 
@@ -179,7 +174,7 @@ class ImpulseResponse:
             self._respond(J)
 
     def of(self, J: Array) -> "ImpulseResponse":
-        """That of other rows, shape (m, nv), under the same mass and bilateral rows."""
+        """Return that of other rows, shape (m, nv), under the same mass and bilateral rows."""
         other = copy(self)
         other._respond(J)
         return other
@@ -192,11 +187,12 @@ class ImpulseResponse:
     def _respond(self, J: Array) -> None:
         self.X, hold, factor = self.free(J.T), self._hold, self._factor
         self.loose = np.einsum("ij,ji->i", J, self.X)
-        self._held = np.zeros((len(hold), len(J)))
+        self._bilateral_answer = np.zeros((len(hold), len(J)))
         for _ in range(_PROJECTIONS if factor is not None else 0):
             assert factor is not None
-            held = factor.solve(hold.dot(self.X))
-            self._held, self.X = self._held + held, self.X - factor.X.dot(held)
+            answer = factor.solve(hold.dot(self.X))
+            self._bilateral_answer = self._bilateral_answer + answer
+            self.X = self.X - factor.X.dot(answer)
         self.A = J.dot(self.X)
 
     @property
@@ -210,13 +206,13 @@ class ImpulseResponse:
         v: Array = self._mass.solve(impulse).reshape(impulse.shape)  # eigenpy flattens one column
         return v
 
-    def kept(self, v: Array, goal: Array) -> tuple[Array, Array]:
-        """The nearest velocity with J_b v = goal, and the bilateral impulses for it."""
+    def constrain(self, v: Array, goal: Array) -> tuple[Array, Array]:
+        """Return the nearest velocity with J_b v = goal, and the bilateral impulses for it."""
         if self._factor is None:
             return v, goal
         p = self._factor.solve(goal - self._hold.dot(v))
         return v + self._factor.X.dot(p), p
 
     def bilateral(self, p: Array) -> Array:
-        """Bilateral impulses that answer those of the rows, shape (m_b,)."""
-        return -self._held.dot(p)
+        """Return bilateral impulses that answer those of the rows, shape (m_b,)."""
+        return -self._bilateral_answer.dot(p)

@@ -13,7 +13,7 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Accelerator, writing
-from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.state import NONE, Array, Mode, State
 
 
 class Aba:
@@ -26,17 +26,17 @@ class Aba:
         self.coordinates = AllJoints(mechanism)
         self._aba = partial(pin.aba, mechanism.model, mechanism.data)
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """Accelerations of all joints, shape (nv,); the next call overwrites them."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return the accelerations of all joints, shape (nv,); the next call overwrites them."""
         mechanism = self.mechanism
         mechanism.evaluations += 1
-        return self._aba(q, v, mechanism.tau(t, q, v, u))
+        return self._aba(y.q, y.v, mechanism.tau(y, u))
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function that writes the result of `accelerate` in a mode."""
         mechanism, aba, zero = self.mechanism, self._aba, self.mechanism.zero
         if not mechanism.loads.is_empty:
-            return writing(self.accelerate)
+            return writing(self.accelerate, mode)
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             mechanism.evaluations += 1
@@ -45,17 +45,17 @@ class Aba:
         return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """The same q, v and a."""
+        """Return the same q, v and a."""
         return q, v, a
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """M^-1 forces, shape as `forces`."""
+        """Return M^-1 forces, shape as `forces`."""
         return eigenpy.LLT(self.mechanism.mass(q)).solve(forces).reshape(forces.shape)
 
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and no multipliers."""
+        """Return accelerations of all joints, and no multipliers."""
         return np.array(a), NONE
 
 
@@ -68,18 +68,18 @@ class Dense(Aba):
         super().__init__(mechanism)
         self._factor = eigenpy.LLT(int(mechanism.model.nv))
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """Accelerations of all joints, shape (nv,)."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return the accelerations of all joints, shape (nv,)."""
         mechanism = self.mechanism
         mechanism.evaluations += 1
-        tau = mechanism.tau(t, q, v, u) - mechanism.bias(q, v)
-        self._factor.compute(mechanism.mass(q))
+        tau = mechanism.tau(y, u) - mechanism.bias(y.q, y.v)
+        self._factor.compute(mechanism.mass(y.q))
         a: Array = self._factor.solve(tau)
         return a
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
-        return writing(self.accelerate)
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function that writes the result of `accelerate` in a mode."""
+        return writing(self.accelerate, mode)
 
 
 class AllJoints:
@@ -95,23 +95,23 @@ class AllJoints:
         self.mass = mechanism.mass
 
     def expand(self, y: State) -> State:
-        """The same state."""
+        """Return the same state."""
         return y
 
     def reduce(self, x: State) -> State:
-        """The same state."""
+        """Return the same state."""
         return x
 
     def lift(self, y: State, a: Array) -> Array:
-        """The same accelerations, fresh."""
+        """Return the same accelerations, fresh."""
         return np.array(a)
 
     def integrated(self, a: Array) -> Array:
-        """The same values."""
+        """Return the same values."""
         return a
 
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h, shape (nv,)."""
+    def applied(self, y: State, u: Array | None) -> Array:
+        """Return the generalized force tau - h, shape (nv,)."""
         mechanism = self._mechanism
         mechanism.evaluations += 1
-        return mechanism.tau(t, q, v, u) - mechanism.bias(q, v)
+        return mechanism.tau(y, u) - mechanism.bias(y.q, y.v)

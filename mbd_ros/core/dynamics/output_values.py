@@ -51,7 +51,7 @@ class Showing:
         )
 
     def at(self, x: State, u: Array, a: Array, multipliers: Array) -> Array:
-        """Values of `numbers`, shape (len(numbers),), not to be written to.
+        """Return values of `numbers`, shape (len(numbers),), not to be written to.
 
         Args:
             a: Accelerations of all joints, shape (nv,).
@@ -62,19 +62,19 @@ class Showing:
         """
         if not self._counted and not self._internals.nz:
             return multipliers
-        shown = self._asked(self._counted, x, u, a, multipliers)
+        shown = self._values_of(self._counted, x, u, a, multipliers)
         return np.concatenate(
             [multipliers, x.z, *(v for output, v in shown if _is_number(output))]
         )
 
     def wrenches(self, x: State, u: Array, a: Array, multipliers: Array) -> list[Wrench]:
         """Values of `arrows`, with where each begins; arguments and errors are those of `at`."""
-        shown = self._asked(self._drawn, x, u, a, multipliers)
+        shown = self._values_of(self._drawn, x, u, a, multipliers)
         return [self._wrench(*each) for each in shown if _is_arrow(each[0])]
 
     def cones_at(self, x: State, u: Array, a: Array, multipliers: Array) -> list[FrictionCone]:
-        """Values of `cones`; arguments and errors are those of `at`."""
-        shown = self._asked(self._coned, x, u, a, multipliers)
+        """Return values of `cones`; arguments and errors are those of `at`."""
+        shown = self._values_of(self._coned, x, u, a, multipliers)
         return [
             FrictionCone(value[:3], value[3:6], float(value[6]))
             for output, value in shown
@@ -86,7 +86,7 @@ class Showing:
             return Wrench(output.frame, value[:3], value[3:6], value[6:])
         return Wrench(output.frame, self._k.position(output.at), value[:3], value[3:])
 
-    def _asked(
+    def _values_of(
         self,
         parts: Sequence[tuple[Part, slice]],
         x: State,
@@ -94,7 +94,7 @@ class Showing:
         a: Array,
         multipliers: Array,
     ) -> Iterator[tuple[Output, Array]]:
-        """All outputs of parts."""
+        """Return all outputs of parts."""
         reads = max((part.reads for part, _ in parts), default=Reads.NOTHING)
         if parts:
             self._k.refresh(x.q, x.v, max(reads, Reads.POSITION))
@@ -109,7 +109,7 @@ class Showing:
 
 
 def in_link(k: Kinematics, robot: Robot, wrench: Wrench) -> Array:
-    """A wrench about the origin and in the axes of the link that it acts on, shape (6,).
+    """Return a wrench about the origin and in the axes of the link that it acts on, shape (6,).
 
     Args:
         k: Kinematics at positions.
@@ -146,7 +146,7 @@ def _is_cone(output: Output) -> bool:
 
 
 def numbers_of(part: Part) -> Iterator[Output]:
-    """Its outputs as scalars."""
+    """Return its outputs as scalars."""
     for output in filter(_is_number, part.outputs):
         for word in output.kind.value:
             name = "_".join(filter(None, (label(part, output.name), word)))

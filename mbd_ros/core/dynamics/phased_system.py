@@ -48,7 +48,7 @@ class PhasedSystem:
         self.slots = slots
         self.first = first
         self.multiplier_rows = layout.rows
-        names = [() if s.exact is None else s.exact.names for s in systems]
+        names = [() if s.event_rows is None else s.event_rows.names for s in systems]
         self.switches = tuple(dict.fromkeys(name for each in names for name in each))
         self._at = [[self.switches.index(name) for name in each] for each in names]
         now = self._now = self.systems[first]
@@ -64,33 +64,33 @@ class PhasedSystem:
         self.nv = now.nv
         self.rows = now.rows
         self.constraints = now.constraints
-        self.held = now.held
+        self.bilateral = now.bilateral
         self.bounded = now.bounded
-        self.exact = now.exact
+        self.event_rows = now.event_rows
 
     def phase(self, x: State) -> int:
-        """Number of the phase of a state."""
+        """Return the number of the phase of a state."""
         return x.mode[0] if x.mode else self.first
 
     def during(self, x: State) -> System:
-        """The system of the phase of a state."""
+        """Return the system of the phase of a state."""
         return self.systems[self.phase(x)]
 
     def inward(self, x: State) -> State:
-        """The state with the mode that the system of its phase has for it."""
+        """Return the state with the mode that the system of its phase has for it."""
         if not x.mode:
             return x
         return x._replace(mode=tuple(x.mode[1 + i] for i in self._at[x.mode[0]]))
 
     def outward(self, phase: int, x: State) -> State:
-        """The state of a system with the mode that the scene has for it."""
+        """Return the state of a system with the mode that the scene has for it."""
         mode = [phase, *(1 for _ in self.switches)]
         for i, way in zip(self._at[phase], x.mode, strict=True):
             mode[1 + i] = way
         return x._replace(mode=tuple(mode))
 
     def impulse(self, phase: int, of_phase: Array) -> Array:
-        """Numbers one a multiplier of a phase, as those of the scene, 0 elsewhere."""
+        """Return numbers one a multiplier of a phase, as those of the scene, 0 elsewhere."""
         whole = np.zeros(len(self.multiplier_rows))
         whole[self.slots[phase]] = of_phase
         return whole
@@ -108,7 +108,7 @@ class PhasedSystem:
         return self.systems[mode[0]].accelerator(tuple(mode[1 + i] for i in self._at[mode[0]]))
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """Rates of the internal states at a state, shape (nz,)."""
+        """Return rates of the internal states at a state, shape (nz,)."""
         return self.during(y).rates(self.inward(y), u)
 
     def at_rest(self, y: State, u: Array | None = None) -> Array:
@@ -116,69 +116,69 @@ class PhasedSystem:
         return self.during(y).at_rest(self.inward(y), u)
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of the accelerations in the phase of a state."""
+        """Return derivatives of the accelerations in the phase of a state."""
         return self.during(y).derivatives(self.inward(y), u, inputs=inputs)
 
     def with_loads(self, loads: Loads) -> "PhasedSystem":
-        """The same phases, built for other loads; guards of each phase stay."""
+        """Return the same phases, built for other loads; guards of each phase stay."""
         changed = [
             system.with_loads(loads.watched_by(system.loads.watching)) for system in self.systems
         ]
         return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
 
     def with_gains(self, kp: float, kd: float) -> "PhasedSystem":
-        """The same phases with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
+        """Return the same phases with g'' + kd g' + kp g = 0 of bilateral rows."""
         changed = [system.with_gains(kp, kd) for system in self.systems]
         if all(one is other for one, other in zip(changed, self.systems, strict=True)):
             return self
         return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
 
     def expand(self, y: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         return self.during(y).expand(y)
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated."""
+        """Return the state of what is integrated."""
         return self.during(x).reduce(x)
 
     def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from those of what is integrated."""
+        """Return accelerations of all joints from those of what is integrated."""
         return self.during(y).lift(y, a)
 
     def energy(self, y: State) -> float:
-        """Kinetic and potential energy [J]."""
+        """Return the kinetic and potential energy [J]."""
         return self.during(y).energy(y)
 
     def applied_with(self, y: State, u: Array | None = None) -> Array:
-        """Generalized force tau - h at a state with internal states, shape (nv,)."""
+        """Return the generalized force tau - h at a state with internal states, shape (nv,)."""
         return self.during(y).applied_with(y, u)
 
     def integrated(self, a: Array) -> Array:
-        """Values of what is integrated among those of all joints."""
+        """Return values of what is integrated among those of all joints."""
         return self._now.integrated(a)
 
     def mass(self, q: Array) -> Mass:
-        """Mass matrix of the first phase."""
+        """Return the mass matrix of the first phase."""
         return self._now.mass(q)
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h in the first phase, shape (nv,)."""
+        """Return the generalized force tau - h in the first phase, shape (nv,)."""
         return self._now.applied(t, q, v, u)
 
     def residual(self, t: float, q: Array) -> Array:
-        """Residual of the rows of the first phase."""
+        """Return the residual of the rows of the first phase."""
         return self._now.residual(t, q)
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Jacobian of the rows of the first phase."""
+        """Return Jacobian of the rows of the first phase."""
         return self._now.jacobian(t, q)
 
     def rate(self, t: float, q: Array) -> Array:
-        """Rate dg/dt of the rows of the first phase."""
+        """Return the rate dg/dt of the rows of the first phase."""
         return self._now.rate(t, q)
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of the rows of the first phase."""
+        """Return the factor of the rows of the first phase."""
         return self._now.factorise(t, q)
 
     @property
@@ -188,5 +188,5 @@ class PhasedSystem:
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion of all phases were asked."""
+        """Number of evaluations of the equations of motion of all phases."""
         return sum(system.evaluations for system in self.systems)

@@ -24,8 +24,9 @@ from mbd_ros.core.dynamics.system import Accelerator, writing
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Mode, State
 
+_new_state = tuple.__new__  # half the time of the constructor
 _SAME = 1.0e-12  # of the largest entry: mass matrices that are the same
 
 
@@ -56,38 +57,38 @@ class Reduced:
         self._r = np.zeros(n)
         self._cholesky = eigenpy.LLT(n)
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """The y'' [rad/s^2 or m/s^2], shape (nv,), fresh."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return y'' [rad/s^2 or m/s^2], shape (nv,), fresh."""
         mechanism, GT = self.mechanism, self._GT
         mechanism.evaluations += 1
-        self._at(q, v)
+        self._at(y.q, y.v)
         if mechanism.loads.is_empty:
             if not self._is_linear:
                 np.negative(GT, self._minus_GT)
             self._minus_GT.dot(self._bias(), self._r)
         else:
-            GT.dot(mechanism.tau(t, self._q, self._v, u) - self._bias(), self._r)
+            GT.dot(mechanism.tau(self.coordinates.placed(y), u) - self._bias(), self._r)
         GT.dot(mechanism.mass(self._q), self._half).dot(self._G, self._M)
         self._cholesky.compute(self._M)
         return self._cholesky.solve(self._r).reshape(self._shape)  # eigenpy has its own for one
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
-        return writing(self.accelerate)
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function that writes the result of `accelerate` in a mode."""
+        return writing(self.accelerate, mode)
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints at the state of the last `accelerate`."""
+        """Return q, v and a of all joints at the state of the last `accelerate`."""
         return self.coordinates.joint_motion(a)
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """G (G' M G)^-1 G' forces, shape as `forces`."""
+        """Return G (G' M G)^-1 G' forces, shape as `forces`."""
         reduced = self._GT.dot(forces)
         return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
 
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of the couplings."""
+        """Return accelerations of all joints, and multipliers of the couplings."""
         return coupled_solution(self.coordinates, y, u, a, force)
 
 
@@ -97,7 +98,7 @@ def coupled_solution(
     """Accelerations of all joints, and what their couplings exert; as `FreeMotion.solution`."""
     joints.at(y.q, y.v)
     full_a = joints.joint_motion(a)[2]
-    needed = joints.needed(y.t, u, full_a)
+    needed = joints.needed(y, u, full_a)
     if force is not None:
         needed = needed - force
     return full_a, joints.couplings.reduce(needed, joints.slopes)[1]
@@ -122,24 +123,24 @@ class Mimic:
         self._bias = partial(pin.nonLinearEffects, model, pin.Data(model))
         self._mass = mass_matrix(model)
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """The y'' [rad/s^2 or m/s^2], shape (nv,), fresh."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return y'' [rad/s^2 or m/s^2], shape (nv,), fresh."""
         mechanism, joints = self.mechanism, self.coordinates
         mechanism.evaluations += 1
-        bias = self._bias(q, v)
-        self._cholesky.compute(self._mass(q))
+        bias = self._bias(y.q, y.v)
+        self._cholesky.compute(self._mass(y.q))
         if mechanism.loads.is_empty:
             return np.negative(self._cholesky.solve(bias))
-        joints.at(q, v)
-        tau = mechanism.tau(t, joints.q, joints.v, u)
+        joints.at(y.q, y.v)
+        tau = mechanism.tau(joints.placed(y), u)
         return self._cholesky.solve(joints.G.T.dot(tau) - bias)
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns; without loads at once."""
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function that writes the result of `accelerate` in a mode."""
         mechanism, bias, mass = self.mechanism, self._bias, self._mass
         factorise, solve = self._cholesky.compute, self._cholesky.solve
         if not mechanism.loads.is_empty:
-            return writing(self.accelerate)
+            return writing(self.accelerate, mode)
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             mechanism.evaluations += 1
@@ -150,12 +151,12 @@ class Mimic:
         return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints at the state of the last `accelerate`."""
+        """Return q, v and a of all joints at the state of the last `accelerate`."""
         self.coordinates.at(q, v)
         return self.coordinates.joint_motion(a)
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """G (G' M G)^-1 G' forces, shape as `forces`."""
+        """Return G (G' M G)^-1 G' forces, shape as `forces`."""
         G = self.coordinates.G
         reduced = G.T.dot(forces)
         return G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
@@ -163,7 +164,7 @@ class Mimic:
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of the couplings."""
+        """Return accelerations of all joints, and multipliers of the couplings."""
         return coupled_solution(self.coordinates, y, u, a, force)
 
 
@@ -280,7 +281,7 @@ class IndependentJoints:
             G[pair.child_v, column] = slope * G.item(pair.parent_v, column)
 
     def bias(self) -> Array:
-        """The h + M dG/dt y' of all joints, shape (nv of the robot,)."""
+        """Return h + M dG/dt y' of all joints, shape (nv of the robot,)."""
         mechanism = self._mechanism
         if self.is_linear:
             return mechanism.bias(self.q, self.v)
@@ -290,47 +291,56 @@ class IndependentJoints:
         return bias
 
     def joint_motion(self, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints from y'' at the last `at`; q and v are live."""
+        """Return q, v and a of all joints from y'' at the last `at`; q and v are live."""
         return self.q, self.v, self.G.dot(a) + self.a
 
-    def needed(self, t: float, u: Array | None, a: Array) -> Array:
-        """M a + h - tau of all joints at the last `at`, shape (nv of the robot,).
+    def placed(self, y: State) -> State:
+        """Return the state of all joints at the last `at`, whose q and v are live.
 
         Args:
+            y: The state of that `at`, for its time, internal states and mode.
+        """
+        return _new_state(State, (y.t, self.q, self.v, y.z, y.mode))
+
+    def needed(self, y: State, u: Array | None, a: Array) -> Array:
+        """Return M a + h - tau of all joints at the last `at`, shape (nv of the robot,).
+
+        Args:
+            y: The state of that `at`.
             a: Accelerations of all joints.
         """
         mechanism, q, v = self._mechanism, self.q, self.v
         force = pin.rnea(mechanism.model, mechanism.data, q, v, a)
         if mechanism.loads.heavy:
             force = force + mechanism.added(q, a)
-        return force - mechanism.tau(t, q, v, u)
+        return force - mechanism.tau(self.placed(y), u)
 
     def expand(self, y: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         self.at(y.q, y.v)
         return State(y.t, self.q.copy(), self.v.copy(), y.z, y.mode)
 
     def reduce(self, x: State) -> State:
-        """State of the independent joints."""
+        """Return the state of the independent joints."""
         return State(x.t, x.q[self._qi], x.v[self._vi], x.z, x.mode)
 
     def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from y'', fresh."""
+        """Return accelerations of all joints from y'', fresh."""
         self.at(y.q, y.v)
         return self.G.dot(a) + self.a
 
     def integrated(self, a: Array) -> Array:
-        """Those of independent joints."""
+        """Return those of independent joints."""
         return a[self._vi]
 
     def mass(self, q: Array) -> Array:
-        """G' M G, shape (nv, nv), fresh."""
+        """Return G' M G, shape (nv, nv), fresh."""
         self.at(q, self._still)
         return self.G.T.dot(self._mechanism.mass(self.q)).dot(self.G)
 
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """G' (tau - h - M dG/dt y'), shape (nv,)."""
+    def applied(self, y: State, u: Array | None) -> Array:
+        """Return G' (tau - h - M dG/dt y'), shape (nv,)."""
         mechanism = self._mechanism
         mechanism.evaluations += 1
-        self.at(q, v)
-        return self.G.T.dot(mechanism.tau(t, self.q, self.v, u) - self.bias())
+        self.at(y.q, y.v)
+        return self.G.T.dot(mechanism.tau(self.placed(y), u) - self.bias())

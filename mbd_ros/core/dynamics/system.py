@@ -2,9 +2,9 @@
 
     M a + h = tau + J' lam,   J a + drift = 0 of bilateral rows,   laws of the other rows
 
-`System` is what they ask for. A system is composed of a `FreeMotion` in some `Coordinates` and of
-the rows that give way (`composed_system`); `tiers` chooses how it is solved. Queries of systems
-that may have phases stand at the end; they cost nothing where there are none.
+`System` is their contract. A system is composed of a `FreeMotion` in some `Coordinates` and of
+unilateral and bounded rows (`composed_system`); `tiers` chooses its formulation. Functions for
+systems that may have phases follow at the end; they cost nothing where there are none.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.rows.delassus import RowFactor, UsualSizes
-from mbd_ros.core.state import Array, Evaluation, Mode, State
+from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import EventRows
 
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]
-Acceleration = Callable[[float, Array, Array, Array | None], Array]
+Acceleration = Callable[[State, Array | None], Array]  # of a state of what is integrated, and u
+_new_state = tuple.__new__  # half the time of the constructor
 
 
 class System(Protocol):
@@ -42,23 +43,24 @@ class System(Protocol):
     called y: `chart`, `accelerator`, `derivatives`, `mass`, `applied` and the rows are in y.
 
     Attributes:
-        tier: Name of the way of solving.
+        tier: Name of the formulation.
         model: Its Pinocchio model.
-        loads: What acts on its joints.
-        k: Kinematics at the state that was last asked for.
+        loads: Loads on its joints.
+        k: Kinematics at the last evaluated state.
         nq: Size of the configuration of y.
         nv: Size of its velocity.
         internals: The internal states of its parts: z.
         rows: Bilateral rows of positions, which an integrator may have to keep.
         constraints: The same, stacked.
-        held: All bilateral rows, those of velocities included: what velocities and accelerations
-            keep, and positions need not. `held.rows` is `rows` where no row states velocities.
-        bounded: Rows that give way and are solved for in every evaluation, None without any.
-        exact: Rows that give way at events only, None without any.
-        layout: Which multipliers of an `Evaluation` are those of which rows.
-        multiplier_rows: What they are, in the same order under every tier.
-        sizes: What masses and these rows usually are; None without rows.
-        condition: Condition number of `held` in the mass metric when last factorised, for
+        bilateral: All bilateral rows, those of velocities included: velocities and accelerations
+            keep them, positions need not. Equal to `rows` where no row states velocities.
+        bounded: Bounded rows that are solved for in every evaluation, None without any.
+        event_rows: Unilateral and bounded rows whose mode changes at events only; None without
+            any.
+        layout: The rows of the multipliers of an `Evaluation`.
+        multiplier_rows: The same as a list, in the same order under every tier.
+        sizes: Characteristic sizes of masses and these rows; None without rows.
+        condition: Condition number of `bilateral` in the mass metric when last factorised, for
             reports; 1 without rows.
     """
 
@@ -73,46 +75,46 @@ class System(Protocol):
     internals: Internals
     rows: tuple[Row, ...]
     constraints: ConstraintRows
-    held: RigidRows
+    bilateral: RigidRows
     bounded: BoundedRows | None
-    exact: ExactRows | None
+    event_rows: EventRows | None
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
     sizes: UsualSizes | None
 
     @property
     def condition(self) -> float:
-        """Condition number of `held` when last factorised."""
+        """Condition number of `bilateral` when last factorised."""
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion were asked."""
+        """Number of evaluations of the equations of motion."""
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
-        """Accelerations, multipliers and the response to forces, at a state of all joints.
+        """Return accelerations, multipliers and the response to forces, at a state of all joints.
 
         Args:
             x: State of all joints; tiers that eliminate some read the others.
-            u: Inputs; None stands for what sources give, else for safe values.
+            u: Inputs; None stands for those of the sources, or for safe values without sources.
 
         Raises:
             SolveError: The equations have no solution.
         """
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y'' in a mode, shape (nv,).
+        """Return the function of t, q, v, u that writes y'' in a mode, shape (nv,).
 
         With internal states it is one of t, q, v, z, u that writes y'' and z', shape (nz,).
         """
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """Rates z' of the internal states at a state of what is integrated, shape (nz,)."""
+        """Return rates z' of the internal states at a state of what is integrated, shape (nz,)."""
 
     def at_rest(self, y: State, u: Array | None = None) -> Array:
         """Internal states with what parts know of their equilibrium, NaN where none is known."""
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'' at a state of what is integrated.
+        """Return derivatives of y'' at a state of what is integrated.
 
         Args:
             y: State of what is integrated.
@@ -121,46 +123,51 @@ class System(Protocol):
         """
 
     def with_loads(self, loads: Loads) -> System:
-        """The same robot and rows, built for other loads."""
+        """Return the same robot and rows, built for other loads."""
 
     def with_gains(self, kp: float, kd: float) -> System:
-        """The same system with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
+        """Return the same system with g'' + kd g' + kp g = 0 of bilateral rows.
+
+        Args:
+            kp: Gain of positions [1/s^2].
+            kd: Gain of velocities [1/s].
+        """
 
     def expand(self, y: State) -> State:
-        """State of all joints from that of what is integrated."""
+        """Return the state of all joints from that of what is integrated."""
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
+        """Return the state of what is integrated from that of all joints."""
 
     def lift(self, y: State, a: Array) -> Array:
         """Accelerations of all joints from the y'' at a state, fresh, shape (nv of the robot,)."""
 
     def integrated(self, a: Array) -> Array:
-        """Those of what is integrated among values of all joints."""
+        """Return those of what is integrated among values of all joints."""
 
     def mass(self, q: Array) -> Mass:
         """Mass matrix as an operator: products, solutions, and entries for who needs them."""
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h without the constraints, shape (nv,)."""
+        """Return the generalized force tau - h without the constraints, shape (nv,)."""
 
     def applied_with(self, y: State, u: Array | None = None) -> Array:
-        """The same at a state with internal states."""
+        """Return the same at a state with internal states."""
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q) of `rows`, shape (m,)."""
+        """Return g(t, q) of `rows`, shape (m,)."""
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv)."""
+        """Return dg/dq, shape (m, nv)."""
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of `rows`; brings `condition` up to date."""
+        """Return the factor of `rows`; brings `condition` up to date."""
 
     def energy(self, y: State) -> float:
-        """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+        """Return the kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
 
 
 class Derivatives(NamedTuple):
@@ -196,11 +203,11 @@ class Derivatives(NamedTuple):
 
 
 class FreeMotion(Protocol):
-    """Accelerations y'', rigid rows and couplings kept, rows that give way left out.
+    """Accelerations y'' under bilateral rows and couplings, without unilateral and bounded rows.
 
     Attributes:
-        tier: Name of the way of solving.
-        coordinates: What is integrated.
+        tier: Name of the formulation.
+        coordinates: The integrated coordinates.
     """
 
     tier: str
@@ -208,19 +215,24 @@ class FreeMotion(Protocol):
 
     @property
     def coordinates(self) -> Coordinates:
-        """What is integrated, beside all joints."""
+        """The integrated coordinates and their relation to all joints."""
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """The y'' at a state of y, shape (nv,); the next call may overwrite it."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return y'' at a state, shape (nv,); the next call may overwrite it.
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
+        Args:
+            y: State with internal states inside their bounds, and with the mode for the loads.
+            u: Inputs, as for `System.evaluate`.
+        """
+
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function of t, q, v, u that writes the result of `accelerate` in a mode."""
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
+        """Return q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """Accelerations of all joints that forces on them add at the last `accelerate`.
+        """Return accelerations of all joints that forces on them add at the last `accelerate`.
 
         Args:
             q: Configuration of y there.
@@ -233,7 +245,7 @@ class FreeMotion(Protocol):
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of couplings and rigid rows, fresh.
+        """Return accelerations of all joints, and multipliers of couplings and rigid rows, fresh.
 
         Args:
             y: State of the last `accelerate`.
@@ -243,40 +255,45 @@ class FreeMotion(Protocol):
 
 
 class Coordinates(Protocol):
-    """What is integrated, called y, and all joints."""
+    """The integrated coordinates y and their relation to all joints."""
 
     chart: Chart
 
     def expand(self, y: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
 
     def reduce(self, x: State) -> State:
-        """State of y."""
+        """Return the state of y."""
 
     def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
+        """Return accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
 
     def integrated(self, a: Array) -> Array:
-        """Those of y among values of all joints."""
+        """Return those of y among values of all joints."""
 
     def mass(self, q: Array) -> Array:
-        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
+        """Return the mass matrix of y, shape (nv, nv), overwritten by the next call."""
 
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h on y, shape (nv,)."""
+    def applied(self, y: State, u: Array | None) -> Array:
+        """Return the generalized force tau - h on y, shape (nv,)."""
 
 
-def writing(accelerate: Acceleration) -> Accelerator:
-    """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
+def writing(accelerate: Acceleration, mode: Mode = ()) -> Accelerator:
+    """Return a function of t, q, v, u that writes accelerations into its fifth argument.
+
+    Args:
+        accelerate: The accelerations at a state.
+        mode: Mode of the states.
+    """
 
     def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        out[...] = accelerate(t, q, v, u)
+        out[...] = accelerate(_new_state(State, (t, q, v, NONE, mode)), u)
 
     return write
 
 
 def evaluation_at(system: System, y: State) -> Callable[[], None]:
-    """An evaluation of accelerations and rates in the mode of a state, for clocks.
+    """Return an evaluation of accelerations and rates in the mode of a state, for clocks.
 
     Args:
         y: State of what it integrates.
@@ -289,23 +306,23 @@ def evaluation_at(system: System, y: State) -> Callable[[], None]:
 
 
 def phased(system: System) -> Any:
-    """The system as a `PhasedSystem`; None where it has no phases."""
+    """Return the system as a `PhasedSystem`; None where it has no phases."""
     return system if getattr(system, "phases", ()) else None
 
 
 def during(system: System, x: State) -> System:
-    """The system of the phase of a state; the system itself where it has no phases."""
+    """Return the system of the phase of a state; the system itself where it has no phases."""
     several = phased(system)
     return system if several is None else several.during(x)
 
 
 def inward(system: System, x: State) -> State:
-    """The state with the mode that the system of its phase has for it."""
+    """Return the state with the mode that the system of its phase has for it."""
     several = phased(system)
     return x if several is None else several.inward(x)
 
 
 def phase_names(system: System) -> tuple[str, ...]:
-    """Names of the phases in the order of the scene; empty where it has none."""
+    """Return names of the phases in the order of the scene; empty where it has none."""
     several = phased(system)
     return () if several is None else tuple(phase.name for phase in several.phases)

@@ -1,4 +1,4 @@
-"""The tier of a scene: how it is solved, chosen once, while building."""
+"""The formulation ("tier") of a scene, chosen once while it is built."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from mbd_ros.core.rows.delassus import UsualSizes
 from mbd_ros.errors import ModelError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import EventRows
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
 
@@ -52,22 +52,22 @@ def build_system(
     layout = RowLayout([*coupled, *constraints])
     _refuse_unserved(layout.blocks)
     _check(tier, couplings, layout.rigid[len(coupled) :], layout.yielding)
-    is_kept = tier in ("kkt", "qp") or len(layout.rigid) > len(coupled)
+    keeps_couplings = tier in ("kkt", "qp") or len(layout.rigid) > len(coupled)
     limited = layout.smoothed
     if tier == "qp":
         limited = tuple(b for b in layout.blocks if b.law.is_rigid or b.smoothed)
     parts = (*loads.actuators, *loads.forces, *constraints)
-    plan = _Plan(robot, couplings, layout, Internals(parts), is_kept, limited, backend)
+    plan = _Plan(robot, couplings, layout, Internals(parts), keeps_couplings, limited, backend)
     return plan.build(loads, (0.0, 0.0))
 
 
 class _Plan:
-    """What stays of a system when it is built for other loads or gains.
+    """The parts of a system that do not depend on loads and gains.
 
     Args:
         layout: All rows of the scene.
         internals: The internal states of all parts.
-        is_kept: Whether couplings are rows.
+        keeps_couplings: Whether couplings are rows.
         limited: Blocks whose multipliers the QP finds.
     """
 
@@ -77,7 +77,7 @@ class _Plan:
         couplings: Couplings,
         layout: RowLayout,
         internals: Internals,
-        is_kept: bool,
+        keeps_couplings: bool,
         limited: Sequence[RowBlock],
         backend: str,
     ) -> None:
@@ -87,54 +87,61 @@ class _Plan:
         self._internals = internals
         self._limited = tuple(limited)
         self._backend = backend
-        self._held = layout.rigid if is_kept else ()
-        self._kept = tuple(block for block in self._held if block.level is Level.POSITION)
-        self._is_reduced = bool(couplings.dependent) and not is_kept
+        self._rigid = layout.rigid if keeps_couplings else ()
+        self._rigid_positions = tuple(
+            block for block in self._rigid if block.level is Level.POSITION
+        )
+        self._is_reduced = bool(couplings.dependent) and not keeps_couplings
         self._mimics = mimic_model(robot, couplings) if self._is_reduced else None
         self._sizes: tuple[UsualSizes | None, ...] = (None, None)
 
     def build(self, loads: Loads, gains: tuple[float, float]) -> System:
-        """The system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
+        """Return the system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
         nv, blocks = self._robot.model.nv, self._limited
         mechanism = Mechanism(self._robot, loads)
-        held = rigid = RigidRows(mechanism, ConstraintRows(self._kept, nv, gains), self._sizes[0])
-        if self._held != self._kept:
-            held = RigidRows(mechanism, ConstraintRows(self._held, nv, gains), self._sizes[1])
-        self._sizes = rigid.sizes, held.sizes
+        bilateral = rigid = RigidRows(
+            mechanism, ConstraintRows(self._rigid_positions, nv, gains), self._sizes[0]
+        )
+        if self._rigid != self._rigid_positions:
+            bilateral = RigidRows(
+                mechanism, ConstraintRows(self._rigid, nv, gains), self._sizes[1]
+            )
+        self._sizes = rigid.sizes, bilateral.sizes
         acting = ConstraintRows(blocks, nv, gains)
         bounded = BoundedRows(acting, nv, self._backend) if blocks else None
-        motion = self._motion(mechanism, held)
-        exact = self._exact(motion, gains)
-        parts = rigid, held, bounded, exact, self._layout, self._internals
+        motion = self._motion(mechanism, bilateral)
+        event_rows = self._event_rows(motion, gains)
+        parts = rigid, bilateral, bounded, event_rows, self._layout, self._internals
         return ComposedSystem(motion, *parts, self.build)
 
-    def _exact(self, motion: FreeMotion, gains: tuple[float, float]) -> "ExactRows | None":
-        exact, nv = self._layout.exact, self._robot.model.nv
-        if not exact:
+    def _event_rows(self, motion: FreeMotion, gains: tuple[float, float]) -> "EventRows | None":
+        blocks, nv = self._layout.event_rows, self._robot.model.nv
+        if not blocks:
             return None
-        from mbd_ros.core.contact_modes.event_rows import ExactRows
+        from mbd_ros.core.contact_modes.event_rows import EventRows
         from mbd_ros.core.contact_modes.row_distances import stiff
 
-        every = sorted((*self._limited, *map(stiff, exact)), key=lambda block: block.slots.start)
-        solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)
-        return ExactRows(motion, solver)
+        together = (*self._limited, *map(stiff, blocks))
+        ordered = sorted(together, key=lambda block: block.slots.start)
+        solver = BoundedRows(ConstraintRows(ordered, nv, gains), nv, self._backend)
+        return EventRows(motion, solver)
 
-    def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
+    def _motion(self, mechanism: Mechanism, bilateral: RigidRows) -> FreeMotion:
         is_heavy = bool(mechanism.loads.heavy)
         if self._mimics is not None and not is_heavy:
             return Mimic(mechanism, self._couplings, self._mimics)
         if self._is_reduced:
             return Reduced(mechanism, self._couplings)
         is_solved = {block.slots.start for block in self._limited}
-        if any(block.slots.start not in is_solved for block in self._held):
+        if any(block.slots.start not in is_solved for block in self._rigid):
             if is_heavy:
                 raise ModelError(_heavy_rows(mechanism.loads))
-            return Kkt(mechanism, held)
+            return Kkt(mechanism, bilateral)
         return Dense(mechanism) if is_heavy else Aba(mechanism)
 
 
 def _heavy_rows(loads: Loads) -> str:
-    """Why rigid rows and loads that add inertia do not go together."""
+    """Return why rigid rows and loads that add inertia do not go together."""
     names = ", ".join(load.name for load in loads.heavy)
     return (
         f"{names} adds inertia that changes with the posture, which no solver serves beside rigid "
@@ -184,5 +191,5 @@ def _check(
 
 
 def tier_of(system: System) -> str:
-    """Name of the tier that was chosen."""
+    """Return the name of the tier that was chosen."""
     return system.tier if system.bounded is None else f"qp over {system.tier}"

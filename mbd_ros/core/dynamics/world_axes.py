@@ -1,8 +1,8 @@
 """Free bodies with velocities in the axes of the world.
 
 A velocity v of a free body stands in its own axes, v' = R' a - w x v: beside a spin of 50 rad/s it
-turns by half a radian in steps of 0.01 s though the body keeps its way. Methods that integrate it
-err by powers of w h. In the axes of the world it changes by what acts alone: a ball that slides or
+turns by half a radian in steps of 0.01 s though the body moves straight on. Methods that integrate
+it err by powers of w h. In the axes of the world it changes by forces alone: a ball that slides or
 rolls has constant accelerations there, whatever its spin.
 """
 
@@ -25,12 +25,12 @@ _SMALL_TURN = 1.0e-2  # rad^2; below it the series is exact, far below it the cl
 
 
 class InWorldAxes:
-    """What integrators ask of a system, velocities of free bodies in the axes of the world.
+    """A system for integrators, with velocities of free bodies in the axes of the world.
 
-    Whatever else they ask is that of the system.
+    All other attributes are those of the system.
 
     Attributes:
-        chart: Of the same configurations, in the axes of the world.
+        chart: Chart of the same configurations, in the axes of the world.
     """
 
     def __init__(self, system: System) -> None:
@@ -41,25 +41,25 @@ class InWorldAxes:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.system, name)
 
-    def turned(self, y: State) -> State:
+    def to_world(self, y: State) -> State:
         """A state of what the system integrates, with velocities in the axes of the world."""
         return y._replace(v=self._bodies.in_world(y.v, self._bodies.axes(y.q)))
 
-    def turned_back(self, x: State) -> State:
-        """The state of what the system integrates."""
-        return x._replace(v=self._bodies.in_own_axes(x.v, self._bodies.axes(x.q)))
+    def from_world(self, x: State) -> State:
+        """Return the state of what the system integrates."""
+        return x._replace(v=self._bodies.in_body_axes(x.v, self._bodies.axes(x.q)))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function that writes accelerations in the axes of the world in a mode."""
+        """Return the function that writes accelerations in the axes of the world in a mode."""
         return self.adapted(self.system.accelerator(mode))
 
     def adapted(self, write: Accelerator) -> Accelerator:
-        """A function of velocities in the axes of the world from one of the system."""
+        """Return a function of velocities in the axes of the world from one of the system."""
         bodies, has_rates = self._bodies, self.system.internals.nz > 0
 
         def accelerate(t: float, q: Array, v: Array, *more: Any) -> None:
             axes = bodies.axes(q)
-            write(t, q, bodies.in_own_axes(v, axes), *more)
+            write(t, q, bodies.in_body_axes(v, axes), *more)
             out = more[-2 if has_rates else -1]
             out[...] = bodies.in_world(out, axes)
             bodies.add_turning(out, v)
@@ -67,24 +67,24 @@ class InWorldAxes:
         return accelerate
 
     def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of accelerations by differences; as `System.derivatives`."""
-        field = self.accelerator(mode_at(self.system, self.turned_back(x), u))
-        return Linearization(self, field).derivatives(x, u, inputs=inputs)
+        """Return derivatives of accelerations by differences, to about 1e-6."""
+        field = self.accelerator(mode_at(self.system, self.from_world(x), u))
+        return Linearization(self).derivatives(field, x, u, inputs=inputs)
 
     def expand(self, x: State) -> State:
-        """State of all joints."""
-        return self.system.expand(self.turned_back(x))
+        """Return the state of all joints."""
+        return self.system.expand(self.from_world(x))
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
-        return self.turned(self.system.reduce(x))
+        """Return the state of what is integrated from that of all joints."""
+        return self.to_world(self.system.reduce(x))
 
 
 class WorldChart(Chart):
-    """What q (+) dq means in the axes of the world.
+    """The map q (+) dq in the axes of the world.
 
-    Free bodies move by a way and a turn about their own origin, both in the axes of the world,
-    [m, rad]; all other coordinates add up.
+    Free bodies move by a displacement and a rotation about their origin, both in the axes of the
+    world, [m, rad]; all other coordinates add up.
 
     Args:
         chart: The chart in the axes of the bodies.
@@ -92,21 +92,21 @@ class WorldChart(Chart):
 
     def __init__(self, chart: Chart) -> None:
         super().__init__(chart.model)
-        self._own = chart
+        self._body_chart = chart
         self._bodies = FreeBodies(chart.model)
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
+        """Return the configuration q (+) dq, shape (nq,)."""
         axes = self._bodies.axes(q)
-        way = self._bodies.in_own_axes(dq, axes)
-        return self._bodies.moved(self._own, q, way, axes)
+        displacement = self._bodies.in_body_axes(dq, axes)
+        return self._bodies.integrate(self._body_chart, q, displacement, axes)
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
-        return self._bodies.gone(self._own, q0, q1)
+        """Return the dq with q0 (+) dq = q1, shape (nv,)."""
+        return self._bodies.difference(self._body_chart, q0, q1)
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
+        """Return the rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
 
         Source: Iserles et al., Lie-group methods, Acta Numerica 9, 2000, app. B: the inverse of
         the left Jacobian of SO(3).
@@ -118,7 +118,7 @@ class WorldChart(Chart):
 
 
 def _rate_on_turns(turn: list[float], spin: list[float]) -> Array:
-    """Rate of a rotation vector whose body spins, both in the axes of the world."""
+    """Return the rate of a rotation vector whose body spins, both in the axes of the world."""
     (a, b, c), (x, y, z) = turn, spin
     square = a * a + b * b + c * c
     if square < _SMALL_TURN:
@@ -137,13 +137,13 @@ def _rate_on_turns(turn: list[float], spin: list[float]) -> Array:
 
 
 class FreeBodies:
-    """The free bodies of a model, their order that of its joints.
+    """The free bodies of a model, in the order of its joints.
 
     Args:
         model: The Pinocchio model.
 
     Attributes:
-        spins: Where their angular velocities stand.
+        spins: Places of their angular velocities.
     """
 
     def __init__(self, model: Any) -> None:
@@ -157,7 +157,7 @@ class FreeBodies:
         self._vectors = np.stack((self._v, self._spins), axis=-1)
 
     def axes(self, q: Array) -> Array:
-        """From axes of the bodies to those of the world, shape (n, 3, 3)."""
+        """Return from axes of the bodies to those of the world, shape (n, 3, 3)."""
         if len(self._q) == 1:
             axes: Array = pin.Quaternion(q[self._turns[0]]).matrix()[None]
             return axes
@@ -169,54 +169,56 @@ class FreeBodies:
         )
         return np.array(rows).T.reshape(-1, 3, 3)
 
-    def turned(self, v: Array, before: Array, after: Array) -> Array:
-        """A velocity with linear parts in other axes.
+    def in_axes(self, v: Array, before: Array, after: Array) -> Array:
+        """Return a velocity with its linear parts in other axes.
 
         Args:
-            before: Axes in which its linear parts stand, shape (n, 3, 3).
-            after: Those in which they shall stand.
+            v: Velocity, shape (nv,).
+            before: Present axes of its linear parts, shape (n, 3, 3).
+            after: Axes of the result, shape (n, 3, 3).
         """
-        turned = v.copy()
+        rotated = v.copy()
         world = np.einsum("nij,nj->ni", before, v[self._v])
-        turned[self._v] = np.einsum("nij,ni->nj", after, world)
-        return turned
+        rotated[self._v] = np.einsum("nij,ni->nj", after, world)
+        return rotated
 
-    def moved(self, chart: Chart, q: Array, way: Array, axes: Array) -> Array:
-        """A configuration after a way with linear parts in some axes, bodies on straight lines.
+    def integrate(self, chart: Chart, q: Array, displacement: Array, axes: Array) -> Array:
+        """Return the configuration after a displacement, free bodies on straight lines.
 
         Args:
-            chart: Of the configuration.
-            way: Shape (nv,).
-            axes: Shape (n, 3, 3).
+            chart: Chart of the configuration.
+            q: Configuration before it, shape (nq,).
+            displacement: Tangent step, its linear parts in some axes, shape (nv,).
+            axes: These axes, shape (n, 3, 3).
         """
-        turn = way.copy()
+        turn = displacement.copy()
         turn[self._v] = 0.0
         moved = chart.integrate(q, turn)
-        moved[self._q] += np.einsum("nij,nj->ni", axes, way[self._v])
+        moved[self._q] += np.einsum("nij,nj->ni", axes, displacement[self._v])
         return moved
 
-    def gone(self, chart: Chart, q0: Array, q1: Array) -> Array:
-        """The way between configurations in the axes of the world, bodies on straight lines."""
-        way = self.in_world(chart.difference(q0, q1), self.axes(q0))
-        way[self._v] = q1[self._q] - q0[self._q]
-        return way
+    def difference(self, chart: Chart, q0: Array, q1: Array) -> Array:
+        """Return the displacement between configurations in the axes of the world."""
+        displacement = self.in_world(chart.difference(q0, q1), self.axes(q0))
+        displacement[self._v] = q1[self._q] - q0[self._q]
+        return displacement
 
     def in_world(self, v: Array, axes: Array) -> Array:
-        """Velocities or accelerations in the axes of the world, both parts of them.
+        """Return velocities or accelerations in the axes of the world, both parts of them.
 
         Args:
             v: In the axes of the bodies, shape (nv,).
             axes: Of the bodies, shape (n, 3, 3).
         """
-        turned = v.copy()
-        turned[self._vectors] = axes @ v[self._vectors]
-        return turned
+        rotated = v.copy()
+        rotated[self._vectors] = axes @ v[self._vectors]
+        return rotated
 
-    def in_own_axes(self, v: Array, axes: Array) -> Array:
-        """The reverse of `in_world`."""
-        turned = v.copy()
-        turned[self._vectors] = axes.transpose(0, 2, 1) @ v[self._vectors]
-        return turned
+    def in_body_axes(self, v: Array, axes: Array) -> Array:
+        """Return the reverse of `in_world`."""
+        rotated = v.copy()
+        rotated[self._vectors] = axes.transpose(0, 2, 1) @ v[self._vectors]
+        return rotated
 
     def add_turning(self, a: Array, v: Array) -> None:
         """Add w x v to accelerations of the bodies, both in the axes of the world."""
@@ -225,12 +227,12 @@ class FreeBodies:
             x, y, z, p, q, r = v[start : spin.stop].tolist()
             a[start : spin.start] += (q * z - r * y, r * x - p * z, p * y - q * x)
 
-    def turning(self, v: Array) -> Array:
-        """What accelerations in the axes of the bodies lack, w x v, shape (nv,)."""
-        turning = np.zeros(len(v))
+    def spin_acceleration(self, v: Array) -> Array:
+        """Return w x v, by which accelerations in the axes of the bodies differ, shape (nv,)."""
+        acceleration = np.zeros(len(v))
         (a, b, c), (x, y, z) = v[self._spins].T, v[self._v].T
-        turning[self._v] = np.column_stack((b * z - c * y, c * x - a * z, a * y - b * x))
-        return turning
+        acceleration[self._v] = np.column_stack((b * z - c * y, c * x - a * z, a * y - b * x))
+        return acceleration
 
 
 def _places(starts: list[int], count: int) -> NDArray[np.intp]:

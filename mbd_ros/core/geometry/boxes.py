@@ -65,8 +65,8 @@ class BoxOnBox(Meeting):
         gap, point, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Touch(gap, point - o, framed(normal, nearest_bases(normal)))
 
-    def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m]: features may be farther apart."""
+    def clearance(self, seen: PairMotion, gaps: Array) -> float:
+        """Return a lower bound of the distance of the bodies [m], which features may exceed."""
         pose = seen.pose()
         return min(self.faces(pose.rotation, pose.translation).apart, float(gaps.min()))
 
@@ -128,8 +128,8 @@ class BoxOnBox(Meeting):
         at = others[side]
         corner[rows, at] = np.copysign(self._b[at], reached[rows, at].real)
         across = cross(along, edge)
-        length, whole = lengths(across), lengths(along)
-        skew = length.real > _ACROSS * whole.real
+        length, edge_length = lengths(across), lengths(along)
+        skew = length.real > _ACROSS * edge_length.real
         safe = np.where(skew, length, 1.0)[:, None]
         own = across / safe * np.where(across.real.dot(faces.normal) < 0.0, -1.0, 1.0)[:, None]
         normal = np.where(skew[:, None], own, faces.normal)
@@ -140,7 +140,7 @@ class BoxOnBox(Meeting):
         beyond = point - np.where(edge > 0.0, point, corner)
         gap = dot(beyond, normal)
         on_b = self._b[others[1 - side]] - np.abs(point[rows, others[1 - side]].real)
-        on_a = np.minimum(share.real, 1.0 - share.real) * whole.real
+        on_a = np.minimum(share.real, 1.0 - share.real) * edge_length.real
         is_inside = np.minimum(np.minimum(on_a, on_b), length.real) > self._beside
         return np.where(is_inside, gap, self._size + np.abs(gap.real)), point, normal
 

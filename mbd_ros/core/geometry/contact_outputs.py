@@ -1,10 +1,12 @@
-"""What a contact shows, whatever law its forces follow: columns, arrows and a friction cone.
+"""Output quantities of a contact, for any law of its forces: columns, arrows, friction cone.
 
-The centre of pressure is the mean of the contact points, each weighted by its normal force. It is
-the point of a flat contact about which normal forces have no moment along the plane. The wrench
-is the sum of all forces and their moment about it, so that on a plane the moment is that of
-friction about the normal. Source: P. Sardain, G. Bessonnet, Forces acting on a biped robot.
-Center of pressure - zero moment point, IEEE Trans. SMC A 34, 2004, sec. II.
+The centre of pressure is the mean of the contact points, weighted by their normal forces. In a
+flat contact, the normal forces have no moment about axes in the plane through this point. The
+wrench of the contact is the sum of its forces and their moment about the centre of pressure; on a
+plane this moment is the torsional friction.
+
+Source: P. Sardain, G. Bessonnet, Forces acting on a biped robot. Center of pressure - zero moment
+point, IEEE Trans. SMC A 34, 2004, sec. II.
 """
 
 from __future__ import annotations
@@ -24,24 +26,26 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
-_AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
-_PRESSED = 1.0e-6  # of the largest force of a contact: a feature with less decides nothing
+_AT_BOUND = 1.0 - 1.0e-9  # fraction of the largest friction from which on a feature slips
+_PRESSED = 1.0e-6  # fraction of the largest force below which a feature counts as open
 
 
-class ContactShow:
+class ContactOutputs:
     """Outputs of a contact and their values.
 
-    `gap` is the smallest distance, `state` is 0 where nothing touches, 2 where friction is inside
-    its bound at every feature that presses, else 1: so is a contact without friction that
-    presses. With several features each has both of its own. `force` acts on a at
-    `centre_of_pressure` with `torque` about it, all in axes of the world.
+    `gap` is the smallest distance. `state` is 0 for an open contact, 2 if friction is below its
+    limit at every loaded feature, and 1 otherwise, also for a loaded contact without friction.
+    With several features, each has its own gap and state. `force` acts on body a at
+    `centre_of_pressure`, with `torque` about it, in the axes of the world.
 
     Args:
-        friction: Coefficient, or one a feature.
+        robot: The robot.
+        pair: Geometry of the contact.
+        friction: Friction coefficient, or one per feature.
 
     Attributes:
-        names: Of the forces, as `force_names` gives them.
-        outputs: In the order of `values`.
+        names: Names of the forces, see `force_names`.
+        outputs: Outputs in the order of `values`.
     """
 
     def __init__(self, robot: Robot, pair: ContactPair, friction: float | Sequence[float]) -> None:
@@ -53,8 +57,8 @@ class ContactShow:
         self._has_several = len(pair.features) > 1
         each = pair.features if self._has_several else ()
         self.outputs = (
-            *(Output(name, "m") for name in ("gap", *(f"gap_{one}" for one in each))),
-            *(Output(name, "") for name in ("state", *(f"state_{one}" for one in each))),
+            *(Output(name, "m") for name in ("gap", *(f"gap_{feature}" for feature in each))),
+            *(Output(name, "") for name in ("state", *(f"state_{feature}" for feature in each))),
             Output("force", "N", Kind.VECTOR, "world"),
             Output("torque", "N·m", Kind.VECTOR, "world"),
             Output("centre_of_pressure", "m", Kind.VECTOR, "world"),
@@ -65,23 +69,24 @@ class ContactShow:
     def values(
         self, k: Kinematics, forces: Array, slips: NDArray[np.bool_] | None = None
     ) -> list[Value]:
-        """Values of `outputs`.
+        """Return the values of `outputs`.
 
         Args:
-            forces: On a in the contact frames: normal, friction along x and y [N], shape (n, 3).
-            slips: Which features slip where they press, shape (n,); None where friction at its
-                bound says so.
+            k: Kinematics at the state.
+            forces: Forces on a in the contact frames: normal, friction along x and y [N], (n, 3).
+            slips: Which loaded features slip, shape (n,); by default those whose friction is at
+                its limit.
         """
         gaps, states = self._pair.gaps(k), self.states(forces, slips)
-        pressed = states[states > OPEN]
-        state = float(pressed.min()) if len(pressed) else OPEN
-        shown: list[Value] = [float(gaps.min()), state]
+        loaded = states[states > OPEN]
+        state = float(loaded.min()) if len(loaded) else OPEN
+        gaps_and_states: list[Value] = [float(gaps.min()), state]
         if self._has_several:
-            shown = [shown[0], *gaps.tolist(), state, *states.tolist()]
+            gaps_and_states = [float(gaps.min()), *gaps.tolist(), state, *states.tolist()]
         centre, force, torque, normal = self.resultant(k, forces, gaps)
         mu = float(self._mu[states > OPEN].max(initial=0.0))
         return [
-            *shown,
+            *gaps_and_states,
             force,
             torque,
             centre + self._origin,
@@ -91,7 +96,7 @@ class ContactShow:
         ]
 
     def states(self, forces: Array, slips: NDArray[np.bool_] | None = None) -> Array:
-        """0 open, 1 slips, 2 sticks, shape (n,); arguments are those of `values`."""
+        """Return 0 (open), 1 (slips) or 2 (sticks) per feature, shape (n,); see `values`."""
         normal = forces[:, 0]
         if slips is None:
             friction = np.hypot(forces[:, 1], forces[:, 2])
@@ -100,7 +105,7 @@ class ContactShow:
         return np.where(presses, np.where(slips, SLIP, STICK), OPEN)
 
     def wrenches(self, k: Kinematics, forces: Array) -> tuple[Wrench, ...]:
-        """The wrenches on a and on b at the centre of pressure; arguments as for `values`."""
+        """Return the wrenches on a and on b at the centre of pressure; see `values`."""
         if self._has_several:
             centre, force, torque, _ = self.resultant(k, forces, self._pair.gaps(k))
         else:
@@ -110,11 +115,11 @@ class ContactShow:
         return Wrench(a.frame, centre, force, torque), Wrench(b.frame, centre, -force, -torque)
 
     def exerted(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """The same, of forces one after the other as rows have them, shape (3 n,)."""
+        """Return the wrenches of forces in the order of constraint rows, shape (3 n,)."""
         return self.wrenches(k, lam.reshape(-1, 3))
 
     def resultant(self, k: Kinematics, forces: Array, gaps: Array) -> Resultant:
-        """The forces of all features; arguments as for `values`, and the gaps, shape (n,)."""
+        """Return the resultant of all features at given gaps, shape (n,); see `values`."""
         point, axes = self._pair.places(k)
         normal = forces[:, 0]
         total = float(normal.sum())
@@ -125,14 +130,14 @@ class ContactShow:
 
 
 def force_names(features: Sequence[str]) -> list[str]:
-    """What the forces of a contact are called, three a feature, in the order of its rows."""
-    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
-    words = ("normal", "friction_x", "friction_y")
-    return [f"{part}{word}" for part in parts for word in words]
+    """Return the names of the forces of a contact, three per feature, in the order of its rows."""
+    prefixes = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
+    components = ("normal", "friction_x", "friction_y")
+    return [f"{prefix}{component}" for prefix in prefixes for component in components]
 
 
 def _arrows(a: Point, b: Point) -> tuple[Output, Output]:
-    """The wrenches on both bodies; what is at rest is called world where no body has that name."""
+    """Return the wrenches on both bodies; a fixed body is called `world` if no body is."""
     on_a, on_b = exerted_on(a, None), exerted_on(b, None)
     if b.frame == "universe" and on_a.name != "on_world":
         return on_a, on_b._replace(name="on_world")
@@ -142,14 +147,14 @@ def _arrows(a: Point, b: Point) -> tuple[Output, Output]:
 
 
 class Resultant(NamedTuple):
-    """The forces of all features on a, in world axes.
+    """Resultant of the forces of all features on a, in world axes.
 
     Attributes:
-        centre: Centre of pressure; the nearest feature where nothing presses. In the world less
-            `Robot.origin` [m], shape (3,).
-        force: [N], shape (3,).
-        torque: About the centre [N·m], shape (3,).
-        normal: The part of the force along the normals [N], shape (3,).
+        centre: Centre of pressure relative to `Robot.origin` [m], shape (3,); the nearest feature
+            of an open contact.
+        force: Force [N], shape (3,).
+        torque: Torque about the centre [N·m], shape (3,).
+        normal: Sum of the normal forces [N], shape (3,).
     """
 
     centre: Array

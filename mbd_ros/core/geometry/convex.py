@@ -66,8 +66,8 @@ class ConvexOnConvex(Meeting):
         self._request = coal.DistanceRequest()
         self._request.gjk_tolerance = _SEARCHED
 
-    def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m]: features may be farther apart."""
+    def clearance(self, seen: PairMotion, gaps: Array) -> float:
+        """Return a lower bound of the distance of the bodies [m], which features may exceed."""
         pose = seen.pose()
         return min(self._apart(pose.rotation, pose.translation).distance, float(gaps.min()))
 
@@ -157,8 +157,8 @@ class ConvexOnConvex(Meeting):
     ) -> tuple[Array, Array, Array]:
         """Gap, point on a and normal where one point of a body is nearest to the other."""
         a, b = self._a, self._b
-        heights, own = vertices.real @ apart.normal, b.vertices @ apart.normal
-        point, base = vertices[int(np.argmin(heights))], b.vertices[int(np.argmax(own))]
+        heights, depths = vertices.real @ apart.normal, b.vertices @ apart.normal
+        point, base = vertices[int(np.argmin(heights))], b.vertices[int(np.argmax(depths))]
         normal = apart.normal.astype(R.dtype)
         if apart.face_b is not None:
             return point @ normal - b.offsets[apart.face_b], point, normal
@@ -167,7 +167,7 @@ class ConvexOnConvex(Meeting):
             return (o - base) @ normal - a.offsets[apart.face_a], base.astype(R.dtype), normal
         seen = _SEEN * self._size
         ends_a = vertices[heights <= heights.min() + seen]
-        ends_b = b.vertices[own >= own.max() - seen]
+        ends_b = b.vertices[depths >= depths.max() - seen]
         if len(ends_a) == len(ends_b) == 2:
             crossing = _crossing(ends_a, ends_b, apart.normal)
             return crossing or ((point - base) @ normal, point, normal)
@@ -193,7 +193,7 @@ def _hull(body: Polyhedron) -> Any:
 
 
 def extremes(corners: Array, up: Array) -> NDArray[np.intp]:
-    """What is farthest along the four directions between the tangents."""
+    """Return the farthest points along the four directions between the tangents."""
     tangents = nearest_bases(up[None])[0]
     tangents = framed(up[None], tangents)[0, 1:]
     flat = corners.real @ tangents.T @ _CORNERS.T
@@ -235,9 +235,9 @@ def crossings(
     long, wide = lengths(along.real)[:, None], lengths(edge.real)[None]
     is_crossing = np.abs(across.real) > np.maximum(STRAIGHT * long, beside) * wide
     safe = np.where(is_crossing, across, 1.0)
-    own = (cross(offset, edge[None]) @ up) / safe
+    share_of_first = (cross(offset, edge[None]) @ up) / safe
     other = (cross(offset, along[:, None]) @ up) / safe
-    is_crossing &= np.minimum(own.real, 1.0 - own.real) * long > beside
+    is_crossing &= np.minimum(share_of_first.real, 1.0 - share_of_first.real) * long > beside
     is_crossing &= np.minimum(other.real, 1.0 - other.real) * wide > beside
     first, second = np.nonzero(is_crossing)
     along, edge, start, end = along[first], edge[second], outline[first], base[second]
@@ -248,7 +248,7 @@ def crossings(
     sign = np.where(out.real @ normal < 0.0, -1.0, 1.0)
     normals = np.where(is_skew[:, None], out * (sign / some)[:, None], normal)
     exact = dot(end - start, cross(edge, out)) / some**2
-    points = start + np.where(is_skew, exact, own[first, second])[:, None] * along
+    points = start + np.where(is_skew, exact, share_of_first[first, second])[:, None] * along
     below = np.where(is_skew[:, None], end, end + other[first, second][:, None] * edge)
     return dot(points - below, normals), points, normals
 

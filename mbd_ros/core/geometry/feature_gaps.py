@@ -1,13 +1,12 @@
-"""Features of one body over one shape of another: gaps, contact frames and their derivatives.
+"""Contact features of two shapes: gaps, contact frames and their derivatives.
 
-One body moves and the other is at rest: all vectors stand in the axes of the shape at rest. With
-the lever rho from the origin of the moving body to the contact point, and an axis e of the contact
-frame,
+One body moves relative to the other, in whose axes all vectors are expressed. With the lever rho
+from the origin of the moving body to the contact point, and an axis e of the contact frame,
 
     w = e . u,   u = v + omega x rho,   w' = e . (a + alpha x rho + omega x rho') + e' . u
 
 Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, 1996, ch. 4. The
-derivatives rho' and e' along the motion are those of `PairMotion.along`.
+derivatives rho' and e' along the motion are those of `PairMotion.directional_derivative`.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ _ALL = slice(0, 6)
 
 
 class Meeting:
-    """What the features of two shapes have in common.
+    """Contact features of a moving over a resting shape; subclasses define `touch`.
 
     Args:
-        pair: The shape at rest, as the observer, and the moving body.
-        features: Names, one a feature.
+        pair: The resting shape, as the observer, and the moving body.
+        features: Names of the features.
 
     Attributes:
-        reach: How far points of the moving body that may touch are from its origin, the second
-            point of the pair, at most [m].
-        why_not: Why its gaps are not twice differentiable; empty where they are.
+        reach: Largest distance of contact points from the origin of the moving body, the second
+            point of the pair [m].
+        why_not: Reason why gaps are not twice differentiable; empty if they are.
     """
 
     reach: float = math.inf
@@ -50,37 +49,39 @@ class Meeting:
         self.features = features
 
     def touch(self, pose: Any) -> Touch:
-        """Gaps, contact points and frames at a `Pose` of real, complex or symbolic numbers."""
+        """Return gaps, contact points and frames at a real, complex or symbolic `Pose`."""
         raise NotImplementedError
 
     def gaps(self, seen: PairMotion) -> Array:
-        """Distances of the surfaces, negative where they overlap [m], shape (n,)."""
+        """Return the distances of the surfaces, negative for overlap [m], shape (n,)."""
         return self.touch(seen.pose()).gap
 
-    def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m], for the gaps there."""
+    def clearance(self, seen: PairMotion, gaps: Array) -> float:
+        """Return a lower bound of the distance of the bodies [m] at given gaps."""
         return float(gaps.min())
 
     def jacobian(self, seen: PairMotion) -> Array:
-        """From joint velocities to those of the features, shape (3 n, nv)."""
+        """Return the map from joint velocities to those of the features, shape (3 n, nv)."""
         _, lever, axes = self.touch(seen.pose())
         return _rows(lever, axes).dot(seen.jacobian(seen.placed(), _ALL))
 
     def drift(self, seen: PairMotion) -> Array:
-        """J' v, shape (3 n,), in frames that do not spin about their normals.
+        """Return J' v, shape (3 n,), in frames that do not spin about their normals.
 
-        Friction is isotropic. Tangents between balls are turned from axes of one of them and would
-        spin without bounds where the normal is opposite to the one that they are turned from.
+        The spin does not matter, since friction is isotropic. Tangents between balls would spin
+        without bound near the normal at which they are singular.
         """
         return self.accelerations(seen)[1]
 
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for the contact points and frames of one."""
+        """Return `jacobian` and `drift`, which share contact points and frames."""
         placed = seen.placed()
-        v, a, omega, alpha = seen.moving(placed or seen.place())
+        v, a, omega, alpha = seen.velocity_and_motion(placed or seen.place())
         pose = seen.pose()
         rates = Pose(cross(omega, pose.rotation.T).T, v)
-        (_, lever, axes), (_, lever_rate, turning) = seen.along(self.touch, pose, rates)
+        (_, lever, axes), (_, lever_rate, turning) = seen.directional_derivative(
+            self.touch, pose, rates
+        )
         axes_rate = _unspun(axes, turning)
         slip = v + cross(omega, lever)
         a = a + cross(alpha, lever) + cross(omega, lever_rate)
@@ -89,25 +90,25 @@ class Meeting:
 
 
 def _rows(lever: Array, axes: Array) -> Array:
-    """From the velocity of the moving body to those of its features, shape (3 n, 6)."""
+    """Return the map from the twist of the moving body to velocities of its features, (3 n, 6)."""
     rows: Array = np.concatenate((axes, cross(lever[:, None], axes)), axis=2).reshape(-1, 6)
     return rows
 
 
 def _unspun(axes: Array, rate: Array) -> Array:
-    """Rates of axes without the spin about the normal, which is the first, shape (n, 3, 3)."""
+    """Return the rates of axes without spin about the normal, the first axis, (n, 3, 3)."""
     spin = np.einsum("nj,nj->n", rate[:, 1], axes[:, 2])[:, None]
     tangents = rate[:, 1] - spin * axes[:, 2], rate[:, 2] + spin * axes[:, 1]
     return np.stack((rate[:, 0], *tangents), axis=1)
 
 
 class Touch(NamedTuple):
-    """Where features touch, at one pose.
+    """Gaps, contact points and contact frames of features at one pose.
 
     Attributes:
-        gap: Distances of the surfaces, negative where they overlap [m], shape (n,).
-        lever: From the origin of the moving body to the contact points [m], shape (n, 3).
-        axes: Normal out of the shape at rest, then both tangents, shape (n, 3, 3), rows.
+        gap: Distances of the surfaces, negative for overlap [m], shape (n,).
+        lever: Vectors from the origin of the moving body to the contact points [m], shape (n, 3).
+        axes: Rows: the normal out of the resting shape, then both tangents, shape (n, 3, 3).
     """
 
     gap: Array
@@ -116,25 +117,25 @@ class Touch(NamedTuple):
 
 
 def directions(vectors: Array, length: Array, otherwise: Array) -> Array:
-    """Rows of length 1, shape (n, 3).
+    """Return vectors scaled to length 1, shape (n, 3).
 
     Args:
-        vectors: Shape (n, 3).
-        length: Their lengths, shape (n,).
-        otherwise: Direction of those without length, shape (3,) or (n, 3).
+        vectors: Vectors, shape (n, 3).
+        length: Lengths of the vectors, shape (n,).
+        otherwise: Direction of zero vectors, shape (3,) or (n, 3).
     """
-    if is_symbol(length.flat[0]):  # where two points meet, expressions have no direction
+    if is_symbol(length.flat[0]):  # symbolic expressions cannot treat zero vectors
         symbolic: Array = vectors / length[:, None]
         return symbolic
-    some = length.real > 0.0
-    return np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
+    nonzero = length.real > 0.0
+    return np.where(nonzero[:, None], vectors / np.where(nonzero, length, 1.0)[:, None], otherwise)
 
 
 def nearest_bases(normals: Array) -> Array:
-    """The bases along axes whose normals are nearest to directions, shape (n, 3, 3), rows.
+    """Return the bases along the axes whose normals are nearest to directions, rows, (n, 3, 3).
 
     Args:
-        normals: Any directions, shape (n, 3).
+        normals: Directions, shape (n, 3).
     """
     axis = np.argmax(np.abs(normals.real), axis=1)
     is_down = normals.real[np.arange(len(normals)), axis] < 0.0
@@ -142,13 +143,13 @@ def nearest_bases(normals: Array) -> Array:
 
 
 def framed(normal: Array, basis: Array) -> Array:
-    """Normals and tangents, the basis turned by the smallest rotation, shape (n, 3, 3), rows.
+    """Rotate a basis to normals by the smallest rotation; rows of shape (n, 3, 3).
 
-    Opposite to the normal of the basis tangents have no direction of their own.
+    The tangents are not unique where the normal is opposite to that of the basis.
 
     Args:
-        normal: Shape (n, 3).
-        basis: Normal and tangents, rows, shape (3, 3), or one each, shape (n, 3, 3).
+        normal: Normals, shape (n, 3).
+        basis: Rows: normal and tangents, shape (3, 3), or one basis per normal, shape (n, 3, 3).
     """
     total = normal + basis[..., 0, :]
     square = dot(total, total) / 2.0

@@ -186,13 +186,13 @@ def hull_of(vertices: Array, normals: Array) -> Polyhedron:
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     heights = vertices @ normals.T
     offsets = heights.max(axis=0)
-    faces, kept = list[NDArray[np.intp]](), list[int]()
+    faces, chosen = list[NDArray[np.intp]](), list[int]()
     for i, normal in enumerate(normals):
         on = np.flatnonzero(heights[:, i] >= offsets[i] - 2.0 * _FLAT * size)
         if len(on) >= 3:
             faces.append(_ordered(vertices, on, normal))
-            kept.append(i)
-    return Polyhedron(vertices, normals[kept], offsets[kept], tuple(faces))
+            chosen.append(i)
+    return Polyhedron(vertices, normals[chosen], offsets[chosen], tuple(faces))
 
 
 def _ordered(vertices: Array, on: NDArray[np.intp], normal: Array) -> NDArray[np.intp]:
@@ -265,7 +265,7 @@ def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
 
 
 class Side(NamedTuple):
-    """What one of two bodies brings to a contact.
+    """The shapes of one of the two bodies of a contact.
 
     Attributes:
         frame: The link, or another frame of it.
@@ -294,7 +294,7 @@ def _parts(shape: Shape) -> tuple[list[str], Array, float]:
 
 
 def suffix(side: Side, number: int) -> str:
-    """What tells features of one shape of a side from those of the others."""
+    """Return the prefix that tells features of one shape of a side from those of the others."""
     return f"_of_{number}" if len(side.shapes) > 1 else ""
 
 

@@ -1,4 +1,4 @@
-"""Kinematics k: what a part asks of the mechanism, evaluated at one state."""
+"""Kinematics k of one state: positions, velocities and Jacobians of points."""
 
 import math
 from bisect import bisect_right
@@ -19,10 +19,10 @@ _WORLD, _LOCAL = pin.LOCAL_WORLD_ALIGNED, pin.LOCAL
 
 
 class Reads(IntEnum):
-    """How much of k a part reads at a state; what nothing reads is not refreshed.
+    """How much of k a part reads at a state; quantities that no part reads are not computed.
 
-    Whatever a part says, its residual, potential and the wrenches of its multipliers read
-    positions at most, and its Jacobian reads Jacobians at most.
+    Regardless of this level, the residual, the potential and the wrenches of a part may read
+    positions only, and its Jacobian may read up to Jacobians.
     """
 
     NOTHING = 0
@@ -33,15 +33,18 @@ class Reads(IntEnum):
 
 
 class Kinematics:
-    """Kinematics in numbers, over a Pinocchio `Data` that its owner refreshes.
+    """Numerical kinematics based on a Pinocchio `Data`, valid after `refresh`.
 
-    Vectors stand in world axes unless a method says otherwise, spatial ones are (linear, angular).
-    The calls of a point are bound when it is first asked for, since parts are shared and a `Data`
-    is not. `zeros`, `dot` and the functions after it are those of numbers: a part that uses them
-    works on symbols too.
+    Vectors are expressed in world axes unless a method says otherwise; spatial vectors are
+    (linear, angular). Mathematical functions such as `zeros`, `dot` and `sqrt` belong to k, so
+    that a part which uses them also works on symbols (`mbd_ros.compiled.symbols.kinematics`).
+
+    Calls into Pinocchio are bound to a point at its first use, since parts are shared by several
+    systems and a `Data` is not.
 
     Args:
-        data: Its `Data`; one of its own by default.
+        robot: The robot.
+        data: Pinocchio `Data`; a new one by default.
     """
 
     zeros = staticmethod(np.zeros)
@@ -54,150 +57,156 @@ class Kinematics:
     maximum, minimum = staticmethod(max), staticmethod(min)
 
     def __init__(self, robot: Robot, data: Any = None) -> None:
-        model, places, rest = robot.model, robot.places, np.zeros(robot.model.nv)
+        model, places = robot.model, robot.places
         data = pin.Data(model) if data is None else data
 
-        def bound(bind: Callable[..., Any], find: Callable[[Any], Any]) -> _Bound:
-            return _Bound(partial(bind, model, data), find)
+        def bound(bind: Callable[..., Any], find: Callable[[Any], Any]) -> _BoundCalls:
+            return _BoundCalls(partial(bind, model, data), find)
 
-        at, pair = places.points.__getitem__, places.pairs.__getitem__
-        self._position = bound(_position, at)
-        self._rotation = bound(_rotation, at)
-        self._velocity = bound(_velocity, at)
-        self._acceleration = bound(_acceleration, at)
-        self._jacobian = bound(_jacobian, at)
-        self._own_jacobian = bound(_own_jacobian, at)
-        self._spatial_jacobian = bound(_spatial_jacobian, at)
+        place, pair = places.points.__getitem__, places.pairs.__getitem__
+        self._position = bound(_position, place)
+        self._rotation = bound(_rotation, place)
+        self._velocity = bound(_velocity, place)
+        self._acceleration = bound(_acceleration, place)
+        self._jacobian = bound(_jacobian, place)
+        self._local_jacobian = bound(_local_jacobian, place)
+        self._spatial_jacobian = bound(_spatial_jacobian, place)
         self._motion = bound(PairMotion, pair)
-        self._carried = bound(_carried, places.both)
-        self._place = partial(pin.forwardKinematics, model, data)
-        self._rest = rest
-        self._differentiate = partial(pin.computeJointJacobians, model, data)
+        self._wrench_transform = bound(_wrench_transform, places.both)
+        self._forward_kinematics = partial(pin.forwardKinematics, model, data)
+        self._zero_acceleration = np.zeros(robot.model.nv)
+        self._compute_jacobians = partial(pin.computeJointJacobians, model, data)
         self._gravity = partial(pin.computeGeneralizedGravity, model, data)
 
     def refresh(self, q: Array, v: Array, reads: Reads = Reads.DRIFT) -> None:
-        """Bring to a state what is read of it, and nothing else.
+        """Compute what is read at a state.
 
         Args:
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
             reads: How much is read until the next call.
         """
         if not reads:
             return
         if reads >= Reads.DRIFT:
-            self._place(q, v, self._rest)
+            self._forward_kinematics(q, v, self._zero_acceleration)
         elif reads >= Reads.VELOCITY:
-            self._place(q, v)
+            self._forward_kinematics(q, v)
         else:
-            self._place(q)
+            self._forward_kinematics(q)
         if reads >= Reads.JACOBIAN:
-            self._differentiate()
+            self._compute_jacobians()
 
     def position(self, point: Point) -> Array:
-        """Where a point is, less `Robot.origin` [m], shape (3,), not to be written to."""
+        """Return the position of a point relative to `Robot.origin` [m], shape (3,), read-only."""
         return self._position[point.number]()
 
     def rotation(self, point: Point) -> Array:
-        """From the axes of a point to those of the world, shape (3, 3)."""
+        """Return the rotation from the axes of a point to those of the world, shape (3, 3)."""
         return self._rotation[point.number]()
 
     def velocity(self, point: Point) -> Array:
-        """Velocity of a point [m/s], shape (3,)."""
+        """Return the velocity of a point [m/s], shape (3,)."""
         return self._velocity[point.number]()
 
     def acceleration(self, point: Point) -> Array:
-        """Second derivative of a position at zero joint acceleration [m/s^2], shape (3,)."""
+        """Return the acceleration of a point at zero joint acceleration [m/s^2], shape (3,)."""
         return self._acceleration[point.number]()
 
     def jacobian(self, point: Point) -> Array:
-        """From joint velocities to that of a point, shape (3, nv)."""
+        """Return the map from joint velocities to the velocity of a point, shape (3, nv)."""
         return self._jacobian[point.number]()
 
     def spatial_jacobian(self, point: Point) -> Array:
-        """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
+        """Return the map from joint velocities to the twist of a point, shape (6, nv)."""
         return self._spatial_jacobian[point.number]()
 
-    def own_jacobian(self, point: Point) -> Array:
-        """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
-        return self._own_jacobian[point.number]()
+    def local_jacobian(self, point: Point) -> Array:
+        """Return the `spatial_jacobian` in the axes of the point, shape (6, nv)."""
+        return self._local_jacobian[point.number]()
 
     def motion(self, pair: Pair) -> PairMotion:
-        """Motion of b as an observer on a sees it."""
+        """Return the motion of point b relative to point a."""
         return self._motion[pair.number]
 
-    def carried(self, wrench: Array, a: Point, b: Point) -> Array:
-        """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,).
+    def transform_wrench(self, wrench: Array, a: Point, b: Point) -> Array:
+        """Express a wrench about a, in the axes of a, about b in the axes of b, shape (6,).
 
         Args:
             wrench: Force [N], then torque [N·m], shape (6,).
-            a: The point that it is given about.
-            b: The point that it is wanted about.
+            a: Point that the wrench refers to.
+            b: Point that the result refers to.
         """
-        return self._carried[a.number, b.number](wrench)
+        return self._wrench_transform[a.number, b.number](wrench)
 
     def gravity(self, q: Array) -> Array:
-        """Generalized force that holds the robot still, shape (nv,), not to be written to.
+        """Return the generalized force that balances gravity, shape (nv,), read-only.
 
         Args:
-            q: Configuration, shape (nq,); k need not be refreshed to it.
+            q: Configuration, shape (nq,); k need not be refreshed at it.
         """
         return self._gravity(q)
 
     @staticmethod
     def row(vector: Array) -> Array:
-        """A vector as the only row of a matrix, shape (1, n)."""
+        """Return a vector as a matrix with one row, shape (1, n)."""
         return vector.reshape(1, -1)
 
-    def searched(self, path: Any, x: Any) -> Any:
-        """What a path finds by a search at a state, which symbols leave to native code."""
+    def search_path(self, path: Any, x: Any) -> Any:
+        """Return the shortest path by search; symbolic kinematics leave it to native code."""
         return path.search(self, x)
 
     @staticmethod
     def any(values: Array) -> bool:
-        """Whether a value is not zero; where nobody can know, it may be so."""
+        """Whether any value is nonzero; symbols return True, since it cannot be known."""
         return bool(values.any())
 
     @staticmethod
     def hypot(vector: Array) -> float:
-        """Length of a vector, exact where squares overflow or vanish."""
+        """Return the length of a vector, without overflow or underflow of squares."""
         return math.hypot(*vector.tolist())
 
     @staticmethod
     def within(values: Array, lower: float, upper: float) -> Array:
-        """The nearest values between two bounds, shape as `values`."""
+        """Return the values clipped to two bounds, with the shape of `values`."""
         return np.minimum(np.maximum(values, lower), upper)
 
     @staticmethod
     def choose(least: Array, most: Array, first: Any, second: Any) -> Array:
-        """Entry by entry the first value where `least` is not above `most`, else the second."""
+        """Return, per entry, the first value where `least` <= `most`, otherwise the second."""
         return np.where(least <= most, first, second)
 
     @staticmethod
     def where(condition: bool, first: Any, second: Any) -> Any:
-        """The first value where a condition holds, else the second; both are evaluated."""
+        """Return the first value if a condition holds, otherwise the second; both are computed."""
         return first if condition else second
 
     @staticmethod
     def piece(x: float, breaks: Sequence[float], rows: Sequence[Sequence[Any]]) -> Sequence[Any]:
-        """The row of the interval that x is in; at a break that of the interval after it.
+        """Return the row of the interval that contains x; a break belongs to the next interval.
 
         Args:
-            breaks: Inner ends of the intervals, increasing, n - 1.
-            rows: One an interval, n.
+            x: Argument.
+            breaks: Increasing inner ends of the n intervals, n - 1 numbers.
+            rows: One row per interval, n rows.
         """
         return rows[bisect_right(breaks, x)]
 
     @staticmethod
     def either(condition: bool, first: Callable[[], Any], second: Callable[[], Any]) -> Any:
-        """What the first call gives where a condition holds, else the second; only one is made."""
+        """Return the result of the first call if a condition holds, otherwise of the second.
+
+        Only one of the two is called.
+        """
         return first() if condition else second()
 
 
-class _Bound(dict[Any, Any]):
-    """Calls by number, bound when they are first asked for.
+class _BoundCalls(dict[Any, Any]):
+    """Calls by the number of a point or pair, bound at their first use.
 
     Args:
-        bind: Makes a call of what stands at a number.
-        find: What stands at a number; it may come to know more of them.
+        bind: Function that binds a call to the place of a point, or the places of a pair.
+        find: Function that returns the place, or places, of a number.
     """
 
     def __init__(self, bind: Callable[..., Any], find: Callable[[Any], Any]) -> None:
@@ -220,8 +229,8 @@ def _position(model: Any, data: Any, joint: int, at: Any) -> _Call:
 
 
 def _rotation(model: Any, data: Any, joint: int, at: Any) -> _Call:
-    place = partial(data.oMi[joint].__mul__, at)
-    return lambda: place().rotation
+    pose = partial(data.oMi[joint].__mul__, at)
+    return lambda: pose().rotation
 
 
 def _velocity(model: Any, data: Any, joint: int, at: Any) -> _Call:
@@ -239,26 +248,28 @@ def _acceleration(model: Any, data: Any, joint: int, at: Any) -> _Call:
 
 
 def _jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
-    whole = _spatial_jacobian(model, data, joint, at)
-    return lambda: whole()[:3]
+    spatial = _spatial_jacobian(model, data, joint, at)
+    return lambda: spatial()[:3]
 
 
 def _spatial_jacobian(model: Any, data: Any, joint: int, at: Any, axes: Any = _WORLD) -> _Call:
     if joint == 0:
         return partial(np.zeros, (6, model.nv))
-    whole = partial(pin.getFrameJacobian, model, data, joint, at, axes)
-    return whole if model.nv > 1 else lambda: whole().reshape(6, 1)  # Pinocchio gives a vector
+    jacobian = partial(pin.getFrameJacobian, model, data, joint, at, axes)
+    if model.nv > 1:
+        return jacobian
+    return lambda: jacobian().reshape(6, 1)  # with one joint, Pinocchio returns a vector
 
 
-def _own_jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
+def _local_jacobian(model: Any, data: Any, joint: int, at: Any) -> _Call:
     return _spatial_jacobian(model, data, joint, at, _LOCAL)
 
 
-def _carried(model: Any, data: Any, a: Place, b: Place) -> Callable[[Array], Array]:
+def _wrench_transform(model: Any, data: Any, a: Place, b: Place) -> Callable[[Array], Array]:
     from_a, joint_b = partial(data.oMi[a.joint].__mul__, a.at), data.oMi[b.joint]
 
-    def to_b(load: Any) -> Any:
-        return (joint_b * b.at).actInv(load)
+    def to_b(force: Any) -> Any:
+        return (joint_b * b.at).actInv(force)
 
     if b.at.isIdentity(0.0):
         to_b = joint_b.actInv

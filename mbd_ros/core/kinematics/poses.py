@@ -1,9 +1,9 @@
 """Poses and velocities of free bodies, and rotations as vectors.
 
-A pose is (x, y, z, qx, qy, qz, qw): place of the frame of the body in the world [m], and its
-orientation. A twist is its velocity [m/s], then its angular velocity [rad/s], in axes of the body.
-An acceleration is the derivative of the twist, not what an accelerometer feels. A rotation vector
-stands along the axis of a rotation and is as long as its angle.
+A pose is (x, y, z, qx, qy, qz, qw): the position of a body in the world [m] and its orientation.
+A twist is the velocity of the body [m/s], then its angular velocity [rad/s], in the axes of the
+body. Its acceleration is the derivative of the twist, which is not what an accelerometer measures.
+A rotation vector has the direction of the axis of a rotation, and the length of its angle.
 
 Source: J. Solà et al., A micro Lie theory for state estimation in robotics, 2018,
 https://arxiv.org/abs/1812.01537, appendix B (rotation vectors).
@@ -20,23 +20,29 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
 POSE, TWIST = 7, 6
-_TURN = 2.0 * math.pi
-_NONE = 1.0e-9  # rad, below which a rotation has no axis
-_UNIT = 1.0e-12  # of the square of a quaternion's length; closer ones keep their bits
+_FULL_TURN = 2.0 * math.pi
+_SMALLEST_ANGLE = 1.0e-9  # [rad], below which a rotation has no axis
+_UNIT = 1.0e-12  # error of a squared length below which a quaternion is not normalised
 
 
 def world_pose(robot: Robot, coordinates: Array) -> Array:
-    """Pose in the world of a free body from its part of a configuration, fresh, shape (.., 7)."""
+    """Return poses in the world from coordinates of a free body, a new array, shape (.., 7).
+
+    Args:
+        robot: The robot.
+        coordinates: The slice of the body in a configuration, shape (.., 7).
+    """
     pose = coordinates.copy()
     pose[..., :3] += robot.origin
     return pose
 
 
 def configuration_of(robot: Robot, pose: Array) -> Array:
-    """Coordinates of a free body, the inverse of `world_pose`; shape (.., 7).
+    """Return the coordinates of a free body from its pose, the inverse of `world_pose`, (.., 7).
 
     Args:
-        pose: In the world, of any length of the quaternion but 0, shape (.., 7).
+        robot: The robot.
+        pose: Pose in the world, with a quaternion of any length but 0, shape (.., 7).
     """
     q = pose.copy()
     q[..., :3] -= robot.origin
@@ -47,31 +53,31 @@ def configuration_of(robot: Robot, pose: Array) -> Array:
 
 
 def twist_of(pose: Array, rate: Array) -> Array:
-    """Twists of poses from the rates of their seven numbers, shape (n, 6).
+    """Return the twists of poses from the time derivatives of their coordinates, shape (n, 6).
 
     With the quaternion r, of any length: omega = 2 vec(r^-1 r'), v = R' p'.
 
     Args:
-        pose: Shape (n, 7).
-        rate: Its derivative in time, shape (n, 7).
+        pose: Poses, shape (n, 7).
+        rate: Their time derivatives, shape (n, 7).
 
     Source: Siciliano et al., Robotics, 2009, sec. 3.7.3.
     """
     return np.concatenate(
-        (_turned_back(pose, rate[:, :3]), 2.0 * _turns(pose, rate)[:, :3]), axis=1
+        (_in_body_axes(pose, rate[:, :3]), 2.0 * _quaternion_rate(pose, rate)[:, :3]), axis=1
     )
 
 
-def _turned_back(pose: Array, vectors: Array) -> Array:
-    """Vectors of the world in axes of the bodies, shape (n, 3)."""
+def _in_body_axes(pose: Array, vectors: Array) -> Array:
+    """Return vectors given in world axes in the axes of the bodies, shape (n, 3)."""
     square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
     u, s = pose[:, 3:6], pose[:, 6:]
-    turned: Array = vectors - 2.0 / square * np.cross(u, s * vectors - np.cross(u, vectors))
-    return turned
+    rotated: Array = vectors - 2.0 / square * np.cross(u, s * vectors - np.cross(u, vectors))
+    return rotated
 
 
-def _turns(pose: Array, rate: Array) -> Array:
-    """r^-1 r' of quaternions (x, y, z, w), shape (n, 4)."""
+def _quaternion_rate(pose: Array, rate: Array) -> Array:
+    """Return r^-1 r' of quaternions (x, y, z, w), shape (n, 4)."""
     u, s, du, ds = pose[:, 3:6], pose[:, 6:], rate[:, 3:6], rate[:, 6:]
     square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
     vector = s * du - ds * u - np.cross(u, du)
@@ -80,27 +86,27 @@ def _turns(pose: Array, rate: Array) -> Array:
 
 
 def acceleration_of(pose: Array, rate: Array, second: Array) -> Array:
-    """Derivatives of the twists of `twist_of`, shape (n, 6).
+    """Return the time derivatives of the twists of poses, shape (n, 6).
 
     omega' = 2 vec(r^-1 r'' - (r^-1 r')^2), v' = R' p'' - omega x v.
 
     Args:
-        pose: Shape (n, 7).
-        rate: Its derivative in time, shape (n, 7).
-        second: Its second derivative, shape (n, 7).
+        pose: Poses, shape (n, 7).
+        rate: Their time derivatives, shape (n, 7).
+        second: Their second time derivatives, shape (n, 7).
     """
-    w, twist = _turns(pose, rate), twist_of(pose, rate)
-    angular = 2.0 * (_turns(pose, second)[:, :3] - 2.0 * w[:, 3:] * w[:, :3])
-    linear = _turned_back(pose, second[:, :3]) - np.cross(twist[:, 3:], twist[:, :3])
+    w, twist = _quaternion_rate(pose, rate), twist_of(pose, rate)
+    angular = 2.0 * (_quaternion_rate(pose, second)[:, :3] - 2.0 * w[:, 3:] * w[:, :3])
+    linear = _in_body_axes(pose, second[:, :3]) - np.cross(twist[:, 3:], twist[:, :3])
     return np.concatenate((linear, angular), axis=1)
 
 
 def rate_of(pose: Array, twist: Array) -> Array:
-    """Rates of the seven numbers of poses, the inverse of `twist_of`, shape (n, 7).
+    """Return the time derivatives of poses from their twists, the inverse of `twist_of`, (n, 7).
 
     Args:
-        pose: Shape (n, 7).
-        twist: Shape (n, 6).
+        pose: Poses, shape (n, 7).
+        twist: Twists, shape (n, 6).
     """
     u, s, omega = pose[:, 3:6], pose[:, 6:], twist[:, 3:]
     vector = s * omega + np.cross(u, omega)
@@ -110,58 +116,58 @@ def rate_of(pose: Array, twist: Array) -> Array:
 
 
 def step_between(before: Array, pose: Array) -> Array:
-    """The twist that leads from one pose to another in a unit of time, shape (6,).
+    """Return the constant twist that moves one pose to another in unit time, shape (6,).
 
     Args:
-        before: Shape (7,).
-        pose: Shape (7,).
+        before: Initial pose, shape (7,).
+        pose: Final pose, shape (7,).
     """
     step: Array = pin.log6(pin.XYZQUATToSE3(before).actInv(pin.XYZQUATToSE3(pose))).vector
     return step
 
 
 def quaternion_vector(quaternion: Array) -> Array:
-    """Rotation vector [rad] of a quaternion (x, y, z, w) of any length > 0, shape (3,)."""
+    """Return the rotation vector [rad] of a quaternion (x, y, z, w) of any length > 0, (3,)."""
     x, y, z, w = (quaternion / np.linalg.norm(quaternion)).tolist()
     return rotation_vector(pin.Quaternion(w, x, y, z).toRotationMatrix())
 
 
 def rotation_vector(R: Array) -> Array:
-    """Rotation vector [rad] of a rotation matrix, no longer than pi, shape (3,)."""
+    """Return the rotation vector [rad] of a rotation matrix, of length up to pi, shape (3,)."""
     return np.asarray(pin.log3(R))
 
 
-def with_steady_signs(poses: Array) -> Array:
-    """Poses in the order of time, each quaternion of the sign of the one before.
+def with_continuous_signs(poses: Array) -> Array:
+    """Choose the signs of the quaternions of a motion so that they change continuously.
 
     Args:
-        poses: Shape (n, 7).
+        poses: Poses in the order of time, shape (n, 7).
     """
     q = poses[:, 3:]
-    turns = (q[1:] * q[:-1]).sum(axis=1) < 0.0
-    signs = np.where(np.cumsum(np.concatenate(([False], turns))) % 2, -1.0, 1.0)
+    flips = (q[1:] * q[:-1]).sum(axis=1) < 0.0
+    signs = np.where(np.cumsum(np.concatenate(([False], flips))) % 2, -1.0, 1.0)
     if (signs > 0.0).all():
         return poses
     return np.concatenate((poses[:, :3], q * signs[:, None]), axis=1)
 
 
 def nearest_rotation_vector(vector: Array, other: Array) -> Array:
-    """The vector of the same rotation, by whole turns more or less, that is nearest to another.
+    """Return the vector of the same rotation that is nearest to another, by adding full turns.
 
     Args:
         vector: Rotation vector [rad], shape (3,).
         other: Rotation vector [rad], shape (3,).
     """
     angle = float(np.linalg.norm(vector))
-    if angle < _NONE:
+    if angle < _SMALLEST_ANGLE:
         return vector
     axis = vector / angle
-    turns = round((float(axis.dot(other)) - angle) / _TURN)
-    return vector + turns * _TURN * axis
+    turns = round((float(axis.dot(other)) - angle) / _FULL_TURN)
+    return vector + turns * _FULL_TURN * axis
 
 
 def with_sign_of(before: Array, pose: Array) -> Array:
-    """A pose whose quaternion has the sign of an earlier one, shape (7,)."""
+    """Return a pose with the sign of its quaternion chosen as in an earlier pose, shape (7,)."""
     if before[3:].dot(pose[3:]) < 0.0:
         pose = pose.copy()
         pose[3:] *= -1.0
@@ -169,17 +175,17 @@ def with_sign_of(before: Array, pose: Array) -> Array:
 
 
 def rotation_vector_slope(R: Array) -> Array:
-    """Change of the rotation vector by a rotation of R in its own axes, shape (3, 3)."""
+    """Return the derivative of the rotation vector by rotations about the local axes, (3, 3)."""
     return np.asarray(pin.Jlog3(R))
 
 
 def vector_quaternion(vector: Array) -> Array:
-    """Quaternion (x, y, z, w) of a rotation vector [rad], shape (4,)."""
+    """Return the quaternion (x, y, z, w) of a rotation vector [rad], shape (4,)."""
     return np.array(pin.Quaternion(pin.exp3(vector)).coeffs())
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Vector products a x b, shape (.., 3)."""
+    """Return the vector products a x b, shape (.., 3)."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
     first = a1 * b2 - a2 * b1
@@ -191,16 +197,16 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Scalar products a . b, shape (..)."""
+    """Return the scalar products a . b, shape (..)."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def lengths(vectors: Array) -> Array:
-    """Lengths sqrt(v . v), shape (..)."""
+    """Return the lengths sqrt(v . v), shape (..)."""
     return np.asarray(np.sqrt(dot(vectors, vectors)))
 
 
 def unit(vectors: Array) -> Array:
-    """Vectors of length 1; zero where they have none."""
+    """Return the vectors scaled to length 1; zero vectors stay zero."""
     length = lengths(vectors)[..., None]
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))

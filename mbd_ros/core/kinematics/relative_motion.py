@@ -1,4 +1,4 @@
-"""Motion of a point with axes, seen by an observer on another body."""
+"""Relative motion of two points with axes on different bodies."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,15 +11,15 @@ from mbd_ros.core.model.points import Place
 from mbd_ros.core.state import Array
 
 _WORLD, _LOCAL = pin.LOCAL_WORLD_ALIGNED, pin.LOCAL
-_STEP = 1.0e-30  # imaginary, so small that its square vanishes beside every real part
+_STEP = 1.0e-30  # imaginary step, whose square vanishes relative to every real part
 
 
 class Pose(NamedTuple):
-    """Where b is; `pinocchio.SE3` has the same attributes.
+    """Pose of b relative to a, with the same attributes as `pinocchio.SE3`.
 
     Attributes:
-        rotation: From its axes to those of a, shape (3, 3).
-        translation: Of its origin [m], shape (3,).
+        rotation: Rotation from the axes of b to those of a, shape (3, 3).
+        translation: Origin of b in the axes of a [m], shape (3,).
     """
 
     rotation: Array
@@ -30,12 +30,12 @@ OfPose = Callable[[Pose], tuple[Array, ...]]
 
 
 class Placed(NamedTuple):
-    """Placements in the world.
+    """Placements of a pair in the world, as `pinocchio.SE3`.
 
     Attributes:
-        joint_a: Joint that carries a.
-        joint_b: Joint that carries b.
-        axes: The axes of a at the origin of b.
+        joint_a: Placement of the joint that carries a.
+        joint_b: Placement of the joint that carries b.
+        axes: Frame with the axes of a at the origin of b.
     """
 
     joint_a: Any
@@ -44,17 +44,19 @@ class Placed(NamedTuple):
 
 
 class PairMotion:
-    """Motion of b as an observer on a sees it, over one Pinocchio `Data`.
+    """Motion of point b relative to point a, based on one Pinocchio `Data`.
 
-    All vectors stand in the axes of a, spatial ones are (linear, angular). The linear velocity is
-    that of the origin of b past the body of a, so that it is the derivative of the offset however
-    far the origins are apart. `placed` is what the method of that name returns.
+    All vectors are expressed in the axes of a; spatial vectors are (linear, angular). The linear
+    velocity is the time derivative of the offset from a to b in the axes of a, however far the
+    origins are apart. Methods take `placed`, the result of the method of that name, so that
+    placements are computed once.
 
     Args:
         model: Pinocchio model of the robot.
-        a: Where the observer stands.
-        b: Where the observed point stands.
-        columns: As `Pair.columns`.
+        data: Pinocchio `Data`, refreshed by its owner.
+        a: Place of the observer.
+        b: Place of the observed point.
+        columns: Sign of each velocity coordinate in the relative motion, see `Pair.columns`.
     """
 
     def __init__(self, model: Any, data: Any, a: Place, b: Place, columns: Array) -> None:
@@ -77,79 +79,83 @@ class PairMotion:
         self._from_world = np.kron(np.eye(2), self._to_a)  # for an observer at rest
 
     def offset(self) -> Array:
-        """Origin of b, from that of a [m], shape (3,)."""
+        """Return the position of b relative to a [m], shape (3,)."""
         offset: Array = (self._joint_a * self._place_a).actInv(self._joint_b.act(self._point_b))
         return offset
 
     def pose(self) -> Any:
-        """The `pinocchio.SE3` of b in the axes of a."""
+        """Return the pose of b relative to a, a `pinocchio.SE3`."""
         return (self._joint_a * self._place_a).actInv(self._joint_b * self._place_b)
 
     def rotation(self) -> Array:
-        """From the axes of b to those of a, shape (3, 3)."""
+        """Return the rotation from the axes of b to those of a, shape (3, 3)."""
         a, b = self._joint_a * self._place_a, self._joint_b * self._place_b
         rotation: Array = a.rotation.T.dot(b.rotation)
         return rotation
 
     def placed(self) -> Placed | None:
-        """Placements of both; None for an observer at rest, which needs none."""
+        """Return the placements, or None for a fixed observer, for which none are needed."""
         return None if self._is_at_rest else self.place()
 
     def place(self) -> Placed:
-        """Where both are."""
+        """Return the placements."""
         axes = self._joint_a * self._place_a
         axes.translation = self._joint_b.act(self._point_b)
         return Placed(self._joint_a, self._joint_b, axes)
 
     def jacobian(self, placed: Placed | None, rows: Any) -> Array:
-        """From joint velocities to rows of the velocity, shape (m, nv)."""
+        """Return rows of the map from joint velocities to the relative twist, shape (m, nv)."""
         jacobian: Array
         if placed is None:
-            whole = self._b_jacobian().reshape(self._all_columns.shape)
-            jacobian = self._from_world[rows].dot(whole)
+            jacobian_b = self._b_jacobian().reshape(self._all_columns.shape)
+            jacobian = self._from_world[rows].dot(jacobian_b)
             return jacobian
         jacobian = placed.axes.toActionMatrixInverse()[rows].dot(self._all_columns)
-        jacobian *= self._columns  # zero, not a small difference, where both frames are carried
+        jacobian *= self._columns  # joints that move both get exact zeros, not small differences
         return jacobian
 
     def acceleration(self, placed: Placed | None) -> Array:
-        """Second derivative of the offset at zero joint acceleration, shape (3,)."""
+        """Return the second derivative of the offset at zero joint acceleration, shape (3,)."""
         if placed is not None:
             return self.motion(placed)[0]
         acceleration: Array = self._to_a.dot(self._b_acceleration().linear)
         return acceleration
 
     def motion(self, placed: Placed) -> tuple[Array, Array, Array]:
-        """Acceleration as above, angular velocity and its derivative, shape (3,) each."""
-        _, a, omega, alpha = self.moving(placed)
+        """Return `acceleration`, angular velocity and its derivative, shape (3,) each."""
+        _, a, omega, alpha = self.velocity_and_motion(placed)
         return a, omega, alpha
 
-    def moving(self, placed: Placed) -> tuple[Array, Array, Array, Array]:
-        """The velocity of the origin of b, then what `motion` gives, shape (3,) each."""
+    def velocity_and_motion(self, placed: Placed) -> tuple[Array, Array, Array, Array]:
+        """Return the velocity of b, then the results of `motion`, shape (3,) each."""
         velocity, rate = self.spatial(placed)
         a = pin.classicAcceleration(velocity, rate)
         return velocity.linear, a, velocity.angular, rate.angular
 
-    def along(
+    def directional_derivative(
         self, function: OfPose, pose: Any, rates: Pose
     ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """What a function of the pose gives, and its rates along a motion, by a complex step.
+        """Return the values of a function of the pose, and their time derivatives.
+
+        Derivatives are computed by a complex step.
 
         Source: J. R. R. A. Martins, P. Sturdza, J. J. Alonso, The complex-step derivative
         approximation, ACM TOMS 29, 2003.
 
         Args:
-            function: Goes with complex numbers.
+            function: Function of the pose that accepts complex numbers.
+            pose: Pose of b relative to a.
+            rates: Time derivative of the pose.
         """
-        turned = pose.rotation + 1j * _STEP * rates.rotation
-        found = function(Pose(turned, pose.translation + 1j * _STEP * rates.translation))
-        return tuple(one.real for one in found), tuple(one.imag / _STEP for one in found)
+        rotation = pose.rotation + 1j * _STEP * rates.rotation
+        values = function(Pose(rotation, pose.translation + 1j * _STEP * rates.translation))
+        return tuple(v.real for v in values), tuple(v.imag / _STEP for v in values)
 
     def spatial(self, placed: Placed) -> tuple[Any, Any]:
-        """Velocity and acceleration of b, at zero joint acceleration: two `pinocchio.Motion`.
+        """Return the relative twist and its derivative at zero joint acceleration.
 
-        With spatial velocities V and accelerations A that of b relative to a, differentiated in
-        the axes of a, is A_b - A_a + (V_b - V_a) x V_a.
+        Both are `pinocchio.Motion`. With spatial velocities V and accelerations A, the derivative
+        of V_b - V_a in the axes of a is A_b - A_a + (V_b - V_a) x V_a.
 
         Source: R. Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 2.10 and 2.11.
         """
@@ -159,8 +165,8 @@ class PairMotion:
         rate = pin.getFrameAcceleration(model, data, b, at_b, _LOCAL)
         if a:
             at_a = placed.joint_a.actInv(placed.axes)
-            carried = pin.getFrameVelocity(model, data, a, at_a, _LOCAL)
-            velocity -= carried
+            velocity_a = pin.getFrameVelocity(model, data, a, at_a, _LOCAL)
+            velocity -= velocity_a
             rate -= pin.getFrameAcceleration(model, data, a, at_a, _LOCAL)
-            rate += velocity.cross(carried)
+            rate += velocity.cross(velocity_a)
         return velocity, rate

@@ -1,4 +1,4 @@
-"""Kinematics of many configurations: arrays over all of them in place of calls for each."""
+"""Kinematics of many configurations at once, as arrays over all configurations."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,12 +15,14 @@ Samples = NDArray[np.intp] | NDArray[np.bool_]
 
 
 class SampledKinematics:
-    """Places and Jacobians of the joints that carry points, at n configurations.
+    """Positions and Jacobians of points at n configurations.
 
     Args:
+        robot: The robot.
         q: Configurations, shape (n, nq).
-        joints: Indices of the joints that carry what is asked for.
-        search: Finds paths that wrap, as `wrapping.taut.taut` does, from path, points and places.
+        joints: Indices of the joints that carry the points of interest.
+        search: Function that finds the shortest path over wrapping surfaces from path, points and
+            placements; needed for paths that wrap.
     """
 
     def __init__(
@@ -33,82 +35,85 @@ class SampledKinematics:
         n, model = len(q), robot.model
         self._columns = [_supporting(model, joint) for joint in joints]
         self._jacobians = np.empty((n, 6, model.nv))
-        self._places = np.empty((n, len(joints), 4, 4))
+        self._placements = np.empty((n, len(joints), 4, 4))
         data = pin.Data(model)
-        carriers = [(data.oMi[int(joint)], i) for i, joint in enumerate(joints)]  # live views
-        for row, jacobian, places in zip(q, self._jacobians, self._places, strict=True):
+        joint_poses = [(data.oMi[int(joint)], i) for i, joint in enumerate(joints)]  # live views
+        for row, jacobian, placements in zip(q, self._jacobians, self._placements, strict=True):
             jacobian[:] = pin.computeJointJacobians(model, data, row).reshape(6, -1)
-            for place, i in carriers:
-                places[i] = place.homogeneous
+            for pose, i in joint_poses:
+                placements[i] = pose.homogeneous
         self._index = {int(joint): i for i, joint in enumerate(joints)}
 
     def of(self, samples: Samples) -> "SampledKinematics":
-        """The same at some of the configurations."""
-        part = object.__new__(SampledKinematics)
-        part.__dict__.update(self.__dict__)
-        part.q, part._jacobians = self.q[samples], self._jacobians[samples]
-        part._places = self._places[samples]
-        return part
+        """Return the kinematics at a subset of the configurations."""
+        subset = object.__new__(SampledKinematics)
+        subset.__dict__.update(self.__dict__)
+        subset.q = self.q[samples]
+        subset._jacobians = self._jacobians[samples]
+        subset._placements = self._placements[samples]
+        return subset
 
     def position(self, point: Point, offset: Array | None = None) -> Array:
-        """Where points are, less `Robot.origin` [m], shape (n, 3).
+        """Return the positions of a point relative to `Robot.origin` [m], shape (n, 3).
 
         Args:
-            offset: From it in the axes of its joint [m], shape (n, 3); None: 0.
+            point: The point.
+            offset: Offset from the point in the axes of its joint [m], shape (n, 3); 0 by default.
         """
         joint, at = self._robot.places.points[point.number]
         local = at.translation if offset is None else at.translation + offset
         if joint == 0:
             return np.asarray(np.broadcast_to(local, (len(self.q), 3)))
-        place = self._places[:, self._index[joint]]
+        pose = self._placements[:, self._index[joint]]
         if offset is None:
-            return np.asarray(place[:, :3, :3] @ local + place[:, :3, 3])
-        return np.asarray((place[:, :3, :3] @ local[..., None])[..., 0] + place[:, :3, 3])
+            return np.asarray(pose[:, :3, :3] @ local + pose[:, :3, 3])
+        return np.asarray((pose[:, :3, :3] @ local[..., None])[..., 0] + pose[:, :3, 3])
 
     def rotation(self, point: Point) -> Array:
-        """From the axes of a point to those of the world, shape (n, 3, 3)."""
+        """Return the rotations from the axes of a point to those of the world, (n, 3, 3)."""
         joint, at = self._robot.places.points[point.number]
         if joint == 0:
             return np.asarray(np.broadcast_to(at.rotation, (len(self.q), 3, 3)))
-        return np.asarray(self._places[:, self._index[joint], :3, :3] @ at.rotation)
+        return np.asarray(self._placements[:, self._index[joint], :3, :3] @ at.rotation)
 
     def along(self, point: Point, vector: Array) -> Array:
-        """Vectors in the axes of the joint of a point, in those of the world, shape (n, 3)."""
+        """Return vectors, given in the axes of the joint of a point, in world axes, (n, 3)."""
         joint = self._robot.places.points[point.number].joint
         if joint == 0:
             return np.asarray(np.broadcast_to(vector, (len(self.q), 3)))
-        turn = self._places[:, self._index[joint], :3, :3]
-        return np.asarray((turn @ vector[..., None])[..., 0])
+        rotation = self._placements[:, self._index[joint], :3, :3]
+        return np.asarray((rotation @ vector[..., None])[..., 0])
 
     def carrier(self, point: Point) -> int:
-        """Index of the joint that carries a point, 0 at rest."""
+        """Return the index of the joint that carries a point, 0 for a fixed point."""
         return int(self._robot.places.points[point.number].joint)
 
     def slope(self, wrenches: Mapping[int, Array]) -> Array:
-        """Generalized forces of wrenches on what joints carry, shape (n, nv).
+        """Return the generalized forces of wrenches, shape (n, nv).
 
         Args:
-            wrenches: Joint -> force and torque about the origin of the world, shape (n, 6).
+            wrenches: Index of a joint -> force and torque on its body about the origin of the
+                world, shape (n, 6).
         """
-        whole = np.zeros((len(self.q), self._robot.model.nv))
+        tau = np.zeros((len(self.q), self._robot.model.nv))
         for joint, wrench in wrenches.items():
             if joint:
                 columns = self._columns[self._index[joint]]
-                whole[:, columns] += (wrench[:, None, :] @ self._jacobians[:, :, columns])[:, 0]
-        return whole
+                tau[:, columns] += (wrench[:, None, :] @ self._jacobians[:, :, columns])[:, 0]
+        return tau
 
 
 def carriers(robot: Robot) -> NDArray[np.intp]:
-    """Indices of the joints that carry points of parts."""
+    """Return the indices of the joints that carry points of parts."""
     joints = {int(place.joint) for place in robot.places.points} - {0}
     return np.array(sorted(joints), dtype=np.intp)
 
 
 def _supporting(model: object, joint: int) -> NDArray[np.intp]:
-    """Velocity coordinates that move a joint."""
-    found: list[int] = []
-    for one in model.supports[int(joint)]:  # type: ignore[attr-defined]
-        if one:
-            of = model.joints[one]  # type: ignore[attr-defined]
-            found += range(of.idx_v, of.idx_v + of.nv)
-    return np.array(found, dtype=np.intp)
+    """Return the velocity coordinates that move a joint."""
+    coordinates: list[int] = []
+    for i in model.supports[int(joint)]:  # type: ignore[attr-defined]
+        if i:
+            support = model.joints[i]  # type: ignore[attr-defined]
+            coordinates += range(support.idx_v, support.idx_v + support.nv)
+    return np.array(coordinates, dtype=np.intp)

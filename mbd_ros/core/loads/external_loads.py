@@ -1,4 +1,4 @@
-"""Loads on bodies that come from outside: measured, or given by a source."""
+"""External loads on bodies, which are measured or prescribed over time."""
 
 from collections import deque
 from typing import Annotated
@@ -20,19 +20,19 @@ _CHANNELS = tuple(
 
 
 class ExternalWrench(Load):
-    """A load that acts on one body, given in one frame about one point: six inputs.
+    """External wrench on one link; its six components are inputs.
 
     Args:
-        frame: Link that carries the load.
-        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
-            `frame` by default.
-        point: Point that the torque is taken about, in `expressed_in`, shape (3,).
-        threshold: Force norm below which the load counts as zero. A force plate whose centre of
-            pressure is undefined at little load needs one.
+        frame: Link that the wrench acts on.
+        expressed_in: Frame in whose axes the wrench is given, about its origin if there is no
+            `point`; `frame` by default.
+        point: Point in `expressed_in` that the torque is about, shape (3,).
+        threshold: Norm of the force below which the wrench counts as zero. Use it for a force
+            plate whose centre of pressure is undefined at small loads.
 
     Attributes:
-        carrier: The joint that carries the link.
-        about: The point that the torque is taken about, with the axes of `expressed_in`.
+        carrier: Origin and axes of the joint that carries the link.
+        about: Point that the torque is about, with the axes of `expressed_in`.
     """
 
     reads = Reads.JACOBIAN
@@ -60,34 +60,35 @@ class ExternalWrench(Load):
         return self.threshold == 0.0 or float(np.linalg.norm(wrench[:3])) > self.threshold
 
     def in_body(self, k: Kinematics, wrench: Array) -> Array:
-        """The load about the origin and in the axes of `carrier`, shape (6,).
+        """Return the wrench about the origin and in the axes of `carrier`, shape (6,).
 
         Args:
-            wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
+            k: Kinematics at the state.
+            wrench: Force [N], then torque [N·m] in `expressed_in`, shape (6,).
         """
-        return k.carried(wrench, self.about, self.carrier)
+        return k.transform_wrench(wrench, self.about, self.carrier)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         return self.force_of(k, u[self.u])
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """Forces of unit inputs, shape (nv, 6); None with a threshold, where the force jumps."""
+        """Return the forces of unit inputs, (nv, 6); None with a threshold, as the force jumps."""
         if self.threshold > 0.0:
             return None
         return np.column_stack([self.force_of(k, unit) for unit in np.eye(6)])
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The load on the link."""
+        """Return the wrench on the link."""
         return self.wrenches_of(k, u[self.u])
 
     def force_of(self, k: Kinematics, wrench: Array) -> Array:
-        """Generalized force of a load [N, N·m], shape (nv,)."""
+        """Return the generalized force of a wrench [N, N·m], shape (nv,)."""
         if not self.carrier.moves:
             return k.zeros(self._nv)
         return k.either(
             self._acts(k, wrench),
-            lambda: k.dot(self.in_body(k, wrench), k.own_jacobian(self.carrier)),
+            lambda: k.dot(self.in_body(k, wrench), k.local_jacobian(self.carrier)),
             lambda: k.zeros(self._nv),
         )
 
@@ -97,7 +98,7 @@ class ExternalWrench(Load):
         return k.any(wrench)
 
     def wrenches_of(self, k: Kinematics, wrench: Array) -> tuple[Wrench, ...]:
-        """A load [N, N·m] on the link, about the origin of the joint that carries it."""
+        """Return a wrench [N, N·m] on the link, about the origin of the joint that carries it."""
         acts = self.threshold == 0.0 or k.hypot(wrench[:3]) > self.threshold
         share = k.where(acts, 1.0, 0.0)
         if not k.any(np.array([share])):
@@ -108,11 +109,12 @@ class ExternalWrench(Load):
 
 
 class WrenchBuffer:
-    """The newest samples of one load, to be read at the stamps of joint states.
+    """Buffer of the newest samples of a wrench, which interpolates at stamps of joint states.
 
     Args:
-        max_age: How long the newest sample stands for later times [ns].
-        rewind: A stamp older than the last by more than this is a new beginning [ns].
+        max_age: Time for which the newest sample is held [ns].
+        rewind: A stamp that is older than the last one by more than this restarts the buffer [ns].
+        length: Largest number of samples.
     """
 
     def __init__(self, max_age: int, rewind: int, length: int = 256) -> None:
@@ -121,7 +123,7 @@ class WrenchBuffer:
         self._samples: deque[tuple[int, Array]] = deque(maxlen=length)
 
     def add(self, stamp: int, wrench: Array) -> bool:
-        """Keep a sample; False if its stamp [ns] is not newer than the last one."""
+        """Add a sample; return False if its stamp [ns] is not newer than the last one."""
         if self._samples and stamp <= self._samples[-1][0]:
             if self._samples[-1][0] - stamp <= self._rewind:
                 return False
@@ -130,21 +132,21 @@ class WrenchBuffer:
         return True
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Remove all samples."""
         self._samples.clear()
 
     def covers(self, stamp: int) -> bool:
-        """Whether no later sample can change what `at` gives."""
+        """Whether later samples cannot change the result of `at`."""
         return bool(self._samples) and self._samples[-1][0] >= stamp
 
     def at(self, stamp: int) -> Array | None:
-        """Wrench at a time: interpolated between samples, held after the newest for `max_age`.
+        """Return the wrench at a time, linear between samples, held for `max_age` after the last.
 
         Args:
             stamp: Time [ns].
 
         Returns:
-            Force [N] then torque [N·m], shape (6,), or None where no sample is near enough.
+            Force [N], then torque [N·m], shape (6,), or None if no sample is near enough.
         """
         later: tuple[int, Array] | None = None
         for sample in reversed(self._samples):
@@ -166,16 +168,17 @@ class WrenchBuffer:
 
 
 def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:
-    """A recorded load at the stamps of a motion, as `WrenchBuffer.at` gives it.
+    """Interpolate a recorded wrench at the stamps of a motion, as `WrenchBuffer.at` does.
 
     Args:
+        samples: Recorded wrench.
         stamps: Times [ns], shape (n,).
-        max_age: How long the newest sample stands for later times [ns].
+        max_age: Time for which the newest sample is held [ns].
 
     Returns:
         Wrenches, shape (n, 6); NaN where no sample is near enough.
     """
-    begin = samples.stamps[0]  # differences are exact as floats, times since 1970 are not
+    begin = samples.stamps[0]  # differences are exact as floats, stamps since 1970 are not
     times, known = stamps - begin, samples.stamps - begin
     columns = [np.interp(times, known, column) for column in samples.wrench.T]
     wrench = np.column_stack(columns)

@@ -1,7 +1,7 @@
-"""u: the numbers that a scene takes from outside, where each stands, and what gives it over time.
+"""Inputs u of a scene: their channels, and sources that prescribe them over time.
 
-`Inputs` names the channels of u, `Sources` gives u at a time from a `Source` of each part: tables,
-polynomials, or sampled functions.
+`Inputs` names the channels of u. `Sources` evaluates u at a time from one `Source` per part: a
+table, polynomials, or a sampled function.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Inputs(NamedTuple):
 
     Attributes:
         names: `<part>`, or `<part>.<channel>` where a part has several, in the order of u.
-        channels: As the parts declare them, in the same order.
-        slots: Name of a part -> where its inputs stand.
+        channels: Channels that the parts declare, in the same order.
+        slots: Name of a part -> slice of its inputs in u.
     """
 
     names: tuple[str, ...]
@@ -38,82 +38,83 @@ class Inputs(NamedTuple):
 
     @property
     def safe(self) -> Array:
-        """The u that no source gives, fresh, shape (nu,)."""
+        """Safe values of u, for inputs without a source; a new array, shape (nu,)."""
         return np.array([channel.safe for channel in self.channels], dtype=np.float64)
 
-    def sources(self, given: Mapping[str, Source]) -> Sources:
-        """What gives u, from the sources of parts by name; the others have safe values.
+    def sources(self, by_part: Mapping[str, Source]) -> Sources:
+        """Return the sources of u from those of parts, by name; other parts have safe values.
 
         Raises:
-            ModelError: A part that is not there or has no inputs.
+            ModelError: There is no such part, or it has no inputs.
         """
-        unknown = [name for name in given if name not in self.slots]
+        unknown = [name for name in by_part if name not in self.slots]
         if unknown:
             accepted = ", ".join(self.slots) or "none"
             raise ModelError(f"no part '{unknown[0]}' has inputs; accepted: {accepted}")
-        return Sources(self.safe, [(self.slots[name], one) for name, one in given.items()])
+        return Sources(self.safe, [(self.slots[name], s) for name, s in by_part.items()])
 
 
 class Sources:
-    """The u of a scene over time.
+    """Inputs u of a scene over time.
 
-    What is smooth is added at every stage: until then its places in u hold the time of its last
-    jump, which says on which side of a jump a stage is, and by which steppers see that u changed.
+    `hold` returns u for the steps after a jump. In it, the entries of smooth sources contain the
+    time of the last jump instead of a value, and `complete` evaluates them at every stage. So a
+    stage knows on which side of a jump it is, and steppers notice that u has changed.
 
     Args:
-        idle: The u that no source gives, shape (nu,).
-        given: Where in u the values of each source stand.
+        idle: Values of u without a source, shape (nu,).
+        entries: Slice of u and source, for every source.
 
     Attributes:
-        idle: As given, not to be written to.
-        smooth: The sources that are asked at every stage.
+        idle: Values of u without a source, read-only.
+        smooth: Entries whose source is evaluated at every stage.
     """
 
-    def __init__(self, idle: Array, given: Sequence[tuple[slice, Source]] = ()) -> None:
+    def __init__(self, idle: Array, entries: Sequence[tuple[slice, Source]] = ()) -> None:
         self.idle = idle
-        self.given = tuple(given)
-        self.smooth = tuple((at, source) for at, source in given if source.is_smooth)
+        self.entries = tuple(entries)
+        self.smooth = tuple((slot, source) for slot, source in entries if source.is_smooth)
 
     def at(self, t: float) -> Array:
-        """The whole u at a time [s], fresh, shape (nu,)."""
+        """Return u at a time [s], a new array, shape (nu,)."""
         u = self.idle.copy()
-        for at, source in self.given:
-            u[at] = source.at(t)
+        for slot, source in self.entries:
+            u[slot] = source.at(t)
         return u
 
-    def held(self, jump: float) -> Array | None:
-        """What steps from a jump [s] on hold, fresh; None where there is no source."""
-        if not self.given:
+    def hold(self, jump: float) -> Array | None:
+        """Return the u that steps after a jump [s] hold, a new array; None without sources."""
+        if not self.entries:
             return None
         u = self.idle.copy()
-        for at, source in self.given:
-            u[at] = jump if source.is_smooth else source.at(jump)
+        for slot, source in self.entries:
+            u[slot] = jump if source.is_smooth else source.at(jump)
         return u
 
     def complete(self, u: Array, t: float) -> Array:
-        """The whole u at a time [s], fresh, shape (nu,), from what `held` gave."""
-        whole = u.copy()
-        for at, source in self.smooth:
-            whole[at] = source.since(float(u[at.start]), t)
-        return whole
+        """Return u at a time [s] from the result of `hold`, a new array, shape (nu,)."""
+        complete_u = u.copy()
+        for slot, source in self.smooth:
+            complete_u[slot] = source.since(float(u[slot.start]), t)
+        return complete_u
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """Times between two others at which u jumps [s], increasing."""
-        return heapq.merge(*(source.jumps(begin, end) for _, source in self.given))
+        """Return the times between two others at which u jumps [s], increasing."""
+        return heapq.merge(*(source.jumps(begin, end) for _, source in self.entries))
 
 
 def bound(parts: Sequence[Part]) -> tuple[tuple[Part, ...], Inputs]:
-    """Parts that know where their inputs and internal states stand, and all inputs.
+    """Bind parts to the slots of their inputs and internal states.
 
-    A part that another scene has bound to other places is copied: parts hold constants.
+    A part that another scene has bound to other slots is copied.
 
     Args:
         parts: Parts with inputs or internal states.
 
     Returns:
-        The parts in the order given, and the inputs.
+        The bound parts in the same order, and the inputs.
     """
-    found: list[Part] = []
+    bound_parts: list[Part] = []
     names: list[str] = []
     channels: list[Channel] = []
     states = 0
@@ -123,12 +124,12 @@ def bound(parts: Sequence[Part]) -> tuple[tuple[Part, ...], Inputs]:
         names += input_names(part)
         states += len(part.internal)
         z = slice(first, states) if part.internal else part.z
-        found.append(_at(part, Slots(slice(begin, len(channels)), z)))
-    slots = {part.name: part.u for part in found if part.inputs}
-    return tuple(found), Inputs(tuple(names), tuple(channels), slots)
+        bound_parts.append(_bind(part, Slots(slice(begin, len(channels)), z)))
+    slots = {part.name: part.u for part in bound_parts if part.inputs}
+    return tuple(bound_parts), Inputs(tuple(names), tuple(channels), slots)
 
 
-def _at(part: Part, slots: Slots) -> Part:
+def _bind(part: Part, slots: Slots) -> Part:
     if (part.u, part.z) == slots:
         return part
     if (part.u, part.z) != (Part.u, Part.z):
@@ -138,105 +139,107 @@ def _at(part: Part, slots: Slots) -> Part:
 
 
 def input_names(part: Part) -> tuple[str, ...]:
-    """`<part>`, or `<part>.<channel>` where a part has several inputs."""
-    return tuple(".".join(filter(None, (part.name, one.name))) for one in part.inputs)
+    """Return `<part>`, or `<part>.<channel>` for a part with several inputs."""
+    return tuple(".".join(filter(None, (part.name, c.name))) for c in part.inputs)
 
 
 def command_names(actuators: Sequence[Actuator]) -> list[tuple[str, ...]]:
-    """What files and topics call the inputs of each actuator.
+    """Return the names of the inputs of each actuator in files and on topics.
 
-    A joint stands for its only actuator, where that has one input a joint; all other inputs go by
-    their own names.
+    If an actuator is the only one of its joints and has one input per joint, the inputs have the
+    names of the joints; otherwise they have the names of `input_names`.
 
     Args:
         actuators: All actuators of a scene.
     """
     driven = Counter(joint for part in actuators for joint in part.joints)
-    found = []
+    all_names = []
     for part in actuators:
         names = input_names(part)
         if len(names) == len(part.joints):
             pairs = zip(part.joints, names, strict=True)
             names = tuple(joint if driven[joint] == 1 else name for joint, name in pairs)
-        found.append(names)
-    return found
+        all_names.append(names)
+    return all_names
 
 
 class Source:
     """Values of some inputs over time.
 
     Attributes:
-        is_smooth: Whether it is asked at every stage of a step. Otherwise its value is held from
-            jump to jump.
+        is_smooth: Whether it is evaluated at every stage of a step; otherwise its value is held
+            from jump to jump.
     """
 
     is_smooth: ClassVar[bool] = False
 
     def at(self, t: float) -> Array:
-        """Values at a time [s], shape (n,)."""
+        """Return the values at a time [s], shape (n,)."""
         raise NotImplementedError
 
     def since(self, jump: float, t: float) -> Array:
-        """Values of what is smooth from a jump on, and a rounding beyond its end, shape (n,).
+        """Return the values of a smooth source on the smooth branch after a jump, shape (n,).
 
         Args:
-            jump: The last jump, or the start of the run [s].
-            t: [s].
+            jump: Time of the last jump, or the start of the run [s].
+            t: Time [s]; rounding may put it slightly beyond the end of the branch.
         """
         return self.at(t)
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """Times between two others at which it jumps [s], increasing."""
+        """Return the times between two others at which the values jump [s], increasing."""
         return iter(())
 
     def pieces(self) -> Pieces | None:
-        """What a smooth source is made of, for compiled runs; None where it is made of none.
+        """Return a smooth source as polynomial pieces, for compiled runs; None if it has none.
 
-        Between two jumps, `since` is the polynomial that has begun last, of those in between.
+        Between two jumps, `since` evaluates the piece that has started last.
         """
         return None
 
 
 class HeldTable(Source):
-    """Values that hold until those of the next time; those of the first time before it.
+    """Zero-order hold of the rows of a table; before the first time the first row applies.
 
     Args:
-        times: [s], increasing, shape (m,); of equal ones the last counts.
-        values: One row a time, shape (m, n).
+        times: Times [s], increasing, shape (m,); of equal times the last one counts.
+        values: One row per time, shape (m, n).
 
     Raises:
-        ModelError: The table is none.
+        ModelError: Times or values are not valid.
     """
 
     def __init__(self, times: Array, values: Array) -> None:
         self._times, self._values = _table(times, values, 1)
 
     def at(self, t: float) -> Array:
-        """Values at a time [s], shape (n,), not to be written to."""
+        """Return the values at a time [s], shape (n,), read-only."""
         newest = int(np.searchsorted(self._times, t + NANOSECOND, side="right")) - 1
         row: Array = self._values[max(newest, 0)]
         return row
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """Times of the rows [s]."""
+        """Return the times of the rows [s]."""
         first = np.searchsorted(self._times, begin, side="right")
         last = np.searchsorted(self._times, end)
         return iter(self._times[first:last].tolist())
 
 
 def _table(times: Array, values: Array, least: int) -> tuple[Array, Array]:
-    """Times and rows of a table.
+    """Check a table and return its times and rows.
 
     Raises:
-        ModelError: What does not make one.
+        ModelError: Times or values are not valid.
     """
     stamps, rows = np.array(times, dtype=np.float64), np.array(values, dtype=np.float64)
     if stamps.ndim != 1 or len(stamps) < least:
-        raise ModelError(f"times of shape {stamps.shape}, accepted: {least} or more numbers")
+        raise ModelError(f"times have shape {stamps.shape}, accepted: {least} or more numbers")
     if not (np.isfinite(stamps).all() and (np.diff(stamps) >= 0).all()):
         raise ModelError("times must be finite and increasing")
     if rows.ndim != 2 or len(rows) != len(stamps):
-        raise ModelError(f"values of shape {rows.shape} for {len(stamps)} times")
+        raise ModelError(
+            f"values have shape {rows.shape}, but must have {len(stamps)} rows, one per time"
+        )
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if len(bad):
         raise ModelError(f"values at {stamps[bad[0]]:g} s must be finite")
@@ -244,14 +247,14 @@ def _table(times: Array, values: Array, least: int) -> tuple[Array, Array]:
 
 
 class LinearTable(Source):
-    """Straight lines between the rows of a table, zero before the first and after the last.
+    """Linear interpolation of the rows of a table, zero before the first and after the last.
 
     Args:
-        times: [s], strictly increasing, shape (m,), m >= 2.
-        values: One row a time, shape (m, n).
+        times: Times [s], strictly increasing, shape (m,), m >= 2.
+        values: One row per time, shape (m, n).
 
     Raises:
-        ModelError: The table is none.
+        ModelError: Times or values are not valid.
     """
 
     is_smooth = True
@@ -267,7 +270,7 @@ class LinearTable(Source):
         self._end = self._times[-1] if last else math.inf
 
     def at(self, t: float) -> Array:
-        """Values at a time [s], ends included, shape (n,), not to be written to."""
+        """Return the values at a time [s], ends included, shape (n,), read-only."""
         if is_symbol(t):
             return between_samples(t, np.array(self._times), self._values)
         if not self._times[0] <= t <= self._times[-1]:
@@ -275,7 +278,7 @@ class LinearTable(Source):
         return self._between(t)
 
     def since(self, jump: float, t: float) -> Array:
-        """As `at`, on the side of the last jump [s]."""
+        """Return the values at a time [s] on the branch after the last jump [s], shape (n,)."""
         if jump < self._begin or jump >= self._end:
             return self._zero
         if self._begin < t < self._end:
@@ -283,11 +286,11 @@ class LinearTable(Source):
         return self._between(t)
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """Its ends, where the table is not zero there [s]."""
+        """Return the ends of the table at which it is not zero [s]."""
         return (t for t in (self._begin, self._end) if begin < t < end)
 
     def pieces(self) -> Pieces:
-        """Straight lines between two pieces that are zero."""
+        """Return the linear pieces, between two pieces that are zero."""
         rising = np.stack((self._values[:-1], self._slopes), axis=1)
         zero = np.zeros((1, *rising.shape[1:]))
         times = np.array([self._times[0] - 1.0, *self._times])
@@ -309,11 +312,12 @@ def _refuse_equal(stamps: Array) -> None:
 
 
 def between_samples(t: Any, times: Array, values: Array) -> Array:
-    """Straight lines between the rows of a table at a time that is a symbol; zero outside.
+    """Interpolate the rows of a table linearly at a symbolic time; zero outside of the table.
 
     Args:
-        times: [s], strictly increasing, shape (m,).
-        values: One row a time, shape (m, n).
+        t: Symbolic time.
+        times: Times [s], strictly increasing, shape (m,).
+        values: One row per time, shape (m, n).
     """
     slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
     pieces = np.column_stack((times[:-1], values[:-1], slopes))
@@ -326,16 +330,16 @@ def between_samples(t: Any, times: Array, values: Array) -> Array:
 
 
 class Polynomials(Source):
-    """Polynomials of the time since their beginning, each until the next one begins.
+    """Piecewise polynomials of the time since the start of each piece.
 
-    The first one is continued before its beginning, the last one after it.
+    The first piece also holds before its start, the last one has no end.
 
     Args:
-        times: When each begins [s], strictly increasing, shape (m,).
-        coefficients: Of each, by rising power, shape (m, powers, n).
+        times: Starts of the pieces [s], strictly increasing, shape (m,).
+        coefficients: Coefficients by rising power, shape (m, powers, n).
 
     Raises:
-        ModelError: Times or coefficients that do not belong together.
+        ModelError: Times and coefficients do not match.
     """
 
     is_smooth = True
@@ -343,7 +347,7 @@ class Polynomials(Source):
     def __init__(self, times: Array, coefficients: Array) -> None:
         rows = np.array(coefficients, dtype=np.float64)
         if rows.ndim != 3:
-            raise ModelError(f"coefficients of shape {rows.shape}, accepted: (m, powers, n)")
+            raise ModelError(f"coefficients have shape {rows.shape}, accepted: (m, powers, n)")
         stamps, _ = _table(times, rows.reshape(len(rows), -1), 1)
         _refuse_equal(stamps)
         self._times: list[float] = stamps.tolist()
@@ -354,11 +358,11 @@ class Polynomials(Source):
         self._jumps = stamps[1:][(ends != rows[1:, 0]).any(axis=1)].tolist()
 
     def at(self, t: float) -> Array:
-        """Values at a time [s], after a jump there, fresh, shape (n,)."""
+        """Return the values at a time [s], after a jump at that time, a new array, shape (n,)."""
         return self._piece(self._number(t), t)
 
     def since(self, jump: float, t: float) -> Array:
-        """As `at`, on the side of the last jump [s]."""
+        """Return the values at a time [s] on the branch after the last jump [s], shape (n,)."""
         passed = bisect_right(self._jumps, jump)
         number = max(self._number(t), self._number(jump))
         if passed < len(self._jumps):
@@ -366,11 +370,11 @@ class Polynomials(Source):
         return self._piece(number, t)
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """Beginnings at which the piece before ends at other values [s]."""
+        """Return the starts of pieces at which the values jump [s]."""
         return (t for t in self._jumps if begin < t < end)
 
     def pieces(self) -> Pieces:
-        """As they were given."""
+        """Return the polynomials."""
         jumps = np.isin(self._times, self._jumps)
         return Pieces(np.array(self._times), self._coefficients, jumps)
 
@@ -383,11 +387,11 @@ class Polynomials(Source):
 
 
 class Sampled(Source):
-    """Values that a function gives at equal times, held in between.
+    """Zero-order hold of a function that is sampled periodically.
 
     Args:
         function: Time [s] -> values, shape (n,).
-        period: Time from sample to sample [s], > 0.
+        period: Sampling period [s], > 0.
         origin: Time of one of the samples [s].
     """
 
@@ -399,23 +403,23 @@ class Sampled(Source):
         self._origin = origin
 
     def at(self, t: float) -> Array:
-        """What the function gives at a time [s], shape (n,)."""
+        """Return the value of the function at a time [s], shape (n,)."""
         return self._function(t)
 
     def jumps(self, begin: float, end: float) -> Iterator[float]:
-        """The times of the samples [s]."""
+        """Return the times of the samples [s]."""
         first = math.floor((begin - self._origin) / self._period)
         times = (self._origin + k * self._period for k in itertools.count(first))
         return itertools.takewhile(lambda t: t < end, (t for t in times if t > begin))
 
 
 class Pieces(NamedTuple):
-    """Polynomials of the time since their beginning, each until the next one begins.
+    """Piecewise polynomials of the time since the start of each piece.
 
     Attributes:
-        times: When each begins [s]; the first is continued before its beginning, shape (m,).
-        coefficients: Of each, by rising power, shape (m, powers, n).
-        jumps: Whether the values jump where it begins, shape (m,).
+        times: Starts of the pieces [s]; the first piece also holds before, shape (m,).
+        coefficients: Coefficients by rising power, shape (m, powers, n).
+        jumps: Whether the values jump at each start, shape (m,).
     """
 
     times: Array

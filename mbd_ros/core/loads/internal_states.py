@@ -1,4 +1,4 @@
-"""z: the internal states of the parts of a system, where each stands, and their rates."""
+"""Internal states z of the parts of a system, and their rates."""
 
 import math
 from collections.abc import Sequence
@@ -12,74 +12,74 @@ from mbd_ros.errors import ModelError
 
 
 class Internals:
-    """The internal states of parts.
+    """Internal states of all parts, such as activations and motor speeds.
 
     Args:
-        parts: Parts that know where their internal states stand; those without any are left out.
+        parts: Parts that are bound to their slots of z; parts without internal states are ignored.
 
     Attributes:
-        parts: Those that have any.
-        nz: How many there are.
-        names: `<part>`, or `<part>.<name>` where a part names them, in the order of z.
-        units: In the same order.
-        lower: Smallest values, -inf without, shape (nz,).
-        upper: Largest values, inf without, shape (nz,).
-        initial: Values at the start, shape (nz,), NaN for the equilibrium.
+        parts: Parts with internal states.
+        nz: Number of internal states.
+        names: `<part>`, or `<part>.<name>` if the state has a name, in the order of z.
+        units: Units in the same order.
+        lower: Lower bounds, -inf for none, shape (nz,).
+        upper: Upper bounds, inf for none, shape (nz,).
+        initial: Initial values, shape (nz,), NaN for the equilibrium.
         is_constant: Whether all rates are always 0.
-        reads: What the rates read of k.
+        reads: Level of k that the rates read.
 
     Raises:
-        ModelError: Two parts stand at the same place, since nobody has bound them; two states
-            have one name; or a state starts outside its bounds.
+        ModelError: Two parts share a slot, since they were not bound; two states have the same
+            name; or an initial value is outside of its bounds.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = tuple(part for part in parts if part.internal)
         self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
-        found: dict[int, tuple[str, Internal]] = {}
+        slots: dict[int, tuple[str, Internal]] = {}
         for part in self.parts:
-            for i, one in enumerate(part.internal, part.z.start or 0):
-                if i in found:
+            for i, state in enumerate(part.internal, part.z.start or 0):
+                if i in slots:
                     raise ModelError(
-                        f"{part.name} and {found[i][0]} share an internal state; bind their slots"
+                        f"{part.name} and {slots[i][0]} share an internal state; bind their slots"
                     )
-                found[i] = ".".join(filter(None, (part.name, one.name))), one
-        self.nz = max(found, default=-1) + 1
-        names = [name for name, _ in found.values()]
+                slots[i] = ".".join(filter(None, (part.name, state.name))), state
+        self.nz = max(slots, default=-1) + 1
+        names = [name for name, _ in slots.values()]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            raise ModelError(f"internal states must differ by name: {', '.join(repeated)} repeats")
+            raise ModelError(f"two internal states have the same name: {', '.join(repeated)}")
         absent = "", Internal("", "", initial=0.0)
-        every = [found.get(i, absent) for i in range(self.nz)]
-        self.names = tuple(name for name, _ in every)
-        self.units = tuple(one.unit for _, one in every)
-        self.lower = np.array([one.lower for _, one in every], dtype=np.float64)
-        self.upper = np.array([one.upper for _, one in every], dtype=np.float64)
-        for name, one in every:
-            first = one.lower if one.initial is None else one.initial
-            if not one.lower <= first <= one.upper:
+        states = [slots.get(i, absent) for i in range(self.nz)]
+        self.names = tuple(name for name, _ in states)
+        self.units = tuple(state.unit for _, state in states)
+        self.lower = np.array([state.lower for _, state in states], dtype=np.float64)
+        self.upper = np.array([state.upper for _, state in states], dtype=np.float64)
+        for name, state in states:
+            first = state.lower if state.initial is None else state.initial
+            if not state.lower <= first <= state.upper:
                 raise ModelError(
-                    f"{name} starts at {first:g}, outside {one.lower:g} .. {one.upper:g}"
+                    f"{name} starts at {first:g}, outside {state.lower:g} .. {state.upper:g}"
                 )
-        given = (one.initial for _, one in every)
-        self.initial = np.array([math.nan if v is None else v for v in given], dtype=np.float64)
-        self.is_constant = all(one.is_constant for _, one in every)
+        initial = (state.initial for _, state in states)
+        self.initial = np.array([math.nan if v is None else v for v in initial], dtype=np.float64)
+        self.is_constant = all(state.is_constant for _, state in states)
         self._is_bounded = bool(np.isfinite([self.lower, self.upper]).any())
 
     def inside(self, z: Array) -> Array:
-        """The nearest values within the bounds, z itself where there are none."""
+        """Return z clipped to its bounds, or z itself if there are no bounds."""
         if not self._is_bounded:
             return z
         return np.minimum(np.maximum(z, self.lower), self.upper)
 
     def completed(self, z: Array) -> Array:
-        """Values at the start: those given, `initial` where none is; NaN for the equilibrium.
+        """Complete initial values by `initial`; NaN stands for the equilibrium.
 
         Args:
-            z: Shape (nz,), NaN where nothing is given, or (0,).
+            z: Initial values, shape (nz,), NaN for those to complete; or shape (0,).
 
         Raises:
-            ModelError: Another size, or a value beyond its bounds; names it.
+            ModelError: z has another size, or a value is outside of its bounds.
         """
         if not len(z):
             return self.initial.copy()
@@ -93,36 +93,40 @@ class Internals:
         return np.where(np.isnan(z), self.initial, z)
 
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Internal states with what parts know of their equilibrium, fresh, shape (nz,).
+        """Return z with equilibrium values where parts know them, a new array, shape (nz,).
 
         Args:
-            x: State of all joints; z is NaN where nothing is given.
+            k: Kinematics at the state.
+            x: State of all joints; z is NaN where the equilibrium is sought.
+            u: All inputs.
         """
         z = x.z.copy()
         for part in self.parts:
-            found = part.at_rest(k, x, u) if np.isnan(z[part.z]).any() else None
-            if found is not None:
-                z[part.z] = found
+            equilibrium = part.at_rest(k, x, u) if np.isnan(z[part.z]).any() else None
+            if equilibrium is not None:
+                z[part.z] = equilibrium
         return z
 
     def check(self, z: Array) -> None:
-        """Refuse internal states of another scene."""
+        """Raise a ModelError if z has another size than the internal states of the scene."""
         if len(z) != self.nz:
             names = ", ".join(filter(None, self.names))
             raise ModelError(
-                f"the state has {len(z)} internal states, the scene has {self.nz}: {names}; "
-                "Simulation.start finds them"
+                f"the state has {len(z)} internal states, but the scene has {self.nz}: {names}; "
+                "Simulation.start computes them"
             )
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rates of all internal states, fresh, shape (nz,).
+        """Return the rates of all internal states, a new array, shape (nz,).
 
         Args:
-            x: State of all joints, internal states inside their bounds.
+            k: Kinematics at the state.
+            x: State of all joints, with internal states inside their bounds.
+            u: All inputs.
         """
         if not self.nz:
             return NONE
-        found = np.zeros(self.nz)
+        rates = np.zeros(self.nz)
         for part in self.parts:
-            found[part.z] = part.rates(k, x, u)
-        return found
+            rates[part.z] = part.rates(k, x, u)
+        return rates

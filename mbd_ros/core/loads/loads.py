@@ -1,6 +1,7 @@
-"""tau: everything that acts on the joints besides inertia and constraints.
+"""Sum of all applied loads: generalized forces tau, and wrenches on bodies.
 
-`Loads` sums generalized forces; `BodyLoads` sums wrenches on bodies, as `pin.rnea` takes them.
+`Loads` sums generalized forces; `BodyLoads` sums wrenches on bodies for `pin.rnea`. Inertia and
+constraint forces are not loads.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ class Loads:
 
     Args:
         nv: Size of the velocity of the robot.
-        forces: Loads that nobody commands.
+        forces: Loads other than actuators.
         actuators: Actuators, in the order of their commands.
-        sources: What gives u; by default there are only the safe values of the inputs of these
-            loads, in this order: actuators, forces.
-        watching: Parts that exert nothing and have guards; they see the multipliers of all rows.
+        sources: Sources of u; by default all inputs have their safe values, those of actuators
+            before those of forces.
+        watching: Parts without force that have guards; they see the multipliers of all rows.
 
     Attributes:
         is_empty: Whether the sum is always zero.
-        heavy: Those of the forces that add inertia.
-        reads: What `total` reads of k.
+        heavy: Forces that add inertia.
+        reads: Level of k that `total` reads.
         commands: Names of the commanded joints.
-        sources: What gives u.
-        idle: The u that no source gives, not to be written to.
+        sources: Sources of u.
+        idle: Safe values of u, read-only.
     """
 
     def __init__(
@@ -63,15 +64,17 @@ class Loads:
         safe = [one.safe for part in (*actuators, *forces) for one in part.inputs]
         self.sources = Sources(np.array(safe, dtype=np.float64)) if sources is None else sources
         self.idle = self.sources.idle
-        self._has_sources = bool(self.sources.given)
+        self._has_sources = bool(self.sources.entries)
         self._is_smooth = bool(self.sources.smooth)
         self._zero = np.zeros(nv)
 
     def total(self, k: Kinematics, x: State, u: Array | None) -> Array:
-        """Generalized force [N·m or N], shape (nv,), not to be written to.
+        """Return the generalized force of all loads [N·m or N], shape (nv,), read-only.
 
         Args:
-            u: What `Sources.held` gives, or all inputs where nothing smooth does; None asks the
+            k: Kinematics at the state.
+            x: State of all joints.
+            u: Result of `Sources.hold`, or all inputs if no source is smooth; None evaluates the
                 sources.
         """
         tau, u = self._zero, self.inputs(x, u)
@@ -82,32 +85,35 @@ class Loads:
         return tau
 
     def having(self, forces: Sequence[Load]) -> Loads:
-        """The same actuators beside other forces."""
+        """Return loads with the same actuators and other forces."""
         return Loads(len(self._zero), forces, self.actuators, self.sources, self.watching)
 
     def watched_by(self, parts: Sequence[Part]) -> Loads:
-        """The same loads with other guards."""
+        """Return the same loads with other guards."""
         return Loads(len(self._zero), self.forces, self.actuators, self.sources, parts)
 
     def beside(self, k: Kinematics, x: State) -> Loads:
-        """The loads near a state, smooth across the surfaces at which they jump."""
+        """Return the loads near a state, extended smoothly across their switching surfaces."""
         forces = [force.beside(k, x) for force in self.forces]
         if all(one is other for one, other in zip(forces, self.forces, strict=True)):
             return self
         return self.having(forces)
 
     def actuator_torque(self, k: Kinematics, x: State, u: Array | None) -> Array:
-        """Forces of the actuators on the joints [N·m or N], shape (nv,), not to be written to."""
+        """Return the generalized force of the actuators [N·m or N], shape (nv,), read-only."""
         tau, u = self._zero, self.inputs(x, u)
         for actuator in self.actuators:
             tau = tau + actuator.force(k, x, u)
         return tau
 
     def command(self, torque: Array, x: State) -> Array:
-        """Inputs that ask the actuators for torques, fresh, `idle` elsewhere, shape (nu,).
+        """Return the inputs that command torques, a new array, shape (nu,).
+
+        Inputs of other parts have their safe values.
 
         Args:
-            torque: Of `commands` [N·m or N], shape (len(commands),).
+            torque: Torques of the joints `commands` [N·m or N], shape (len(commands),).
+            x: State of all joints.
         """
         u = self.idle.copy()
         for actuator, driven in zip(self.actuators, self._driven, strict=True):
@@ -115,20 +121,21 @@ class Loads:
         return u
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy that the loads store [J]."""
+        """Return the energy that the loads store [J]."""
         return sum(part.potential(k, x) for part in (*self.actuators, *self.forces))
 
     def inputs(self, x: State, u: Array | None) -> Array:
-        """All inputs at a state, shape (nu,)."""
+        """Return all inputs at a state, shape (nu,)."""
         if u is None:
             return self.sources.at(x.t) if self._has_sources else self.idle
         return self.sources.complete(u, x.t) if self._is_smooth else u
 
 
 class BodyLoads:
-    """Sum of wrenches on every body, in the frame of the joint that carries it.
+    """Sum of the wrenches on every body, in the frame of the joint that carries it.
 
     Args:
+        robot: The robot.
         wrenches: External loads, in the order in which `set` takes their values.
 
     Attributes:
@@ -145,16 +152,20 @@ class BodyLoads:
             self.forces.append(pin.Force.Zero())
 
     def set(self, k: Kinematics, values: Sequence[Array]) -> None:
-        """Replace all loads by the external ones.
+        """Replace all wrenches by the external ones.
 
         Args:
-            values: One (6,) array [N, N·m] for every external load; none means unloaded.
+            k: Kinematics at the state.
+            values: One (6,) array [N, N·m] per external load; empty for no load.
 
         Raises:
-            ModelError: Another number of values.
+            ModelError: The number of values does not match.
         """
         if len(values) not in (0, len(self._wrenches)):
-            raise ModelError(f"{len(values)} wrenches given, the scene has {len(self._wrenches)}")
+            raise ModelError(
+                f"got {len(values)} wrenches, but the scene has {len(self._wrenches)} external "
+                "loads"
+            )
         for body in self._loaded:
             self.forces[body] = _UNLOADED
         self._loaded.clear()
@@ -163,11 +174,11 @@ class BodyLoads:
                 self._add(load.carrier, load.in_body(k, value))
 
     def add(self, k: Kinematics, wrench: Wrench) -> None:
-        """Add what a part exerts on a body; on the world it has no effect."""
+        """Add a wrench of a part on a body; a wrench on the world has no effect."""
         carrier = self._robot.carrier(wrench.frame)
-        about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
-        whole = np.concatenate((wrench.force, about_origin))
-        self._add(carrier, k.carried(whole, self._origin, carrier))
+        torque_about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
+        load = np.concatenate((wrench.force, torque_about_origin))
+        self._add(carrier, k.transform_wrench(load, self._origin, carrier))
 
     def _add(self, carrier: Point, load: Array) -> None:
         body = self._robot.places.points[carrier.number].joint

@@ -1,8 +1,8 @@
-"""How one joint follows another: q_d = f(z), with f' and f''.
+"""Coupling functions q_d = f(z) of one joint position z, with f' and f''.
 
-A function is called with a float, an array or a symbol and returns f, f' and f''. Splines are
-piecewise polynomials, straight beyond their points; `simm_spline` is that of SIMM and OpenSim, in
-which published models give knees and moving points of paths.
+A function takes a float, an array or a symbol and returns f, f' and f''. Splines are piecewise
+polynomials that continue as straight lines beyond their points; `simm_spline` is the spline of
+SIMM and OpenSim, which published models use for knees and moving points of paths.
 """
 
 import itertools
@@ -16,15 +16,15 @@ import numpy as np
 from mbd_ros.core.state import Array, is_symbol
 from mbd_ros.errors import ModelError
 
-MAX_COEFFICIENTS = 1000  # of a polynomial, which costs its length whenever it is evaluated
+MAX_COEFFICIENTS = 1000  # of a polynomial; every evaluation loops over them
 
 
 class Linear:
-    """q_d = factor z + offset.
+    """Linear function q_d = factor z + offset.
 
     Args:
-        factor: [rad or m per rad or m].
-        offset: [rad or m].
+        factor: Slope [rad or m per rad or m].
+        offset: Value at z = 0 [rad or m].
     """
 
     def __init__(self, factor: float, offset: float = 0.0) -> None:
@@ -32,12 +32,12 @@ class Linear:
         self.offset = float(offset)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float or an array."""
+        """Return f(z), f'(z) and f''(z); z is a float or an array."""
         return self.factor * z + self.offset, self.factor, 0.0
 
 
 class Polynomial:
-    """q_d = c0 + c1 z + c2 z^2 + ...
+    """Polynomial q_d = c0 + c1 z + c2 z^2 + ...
 
     Args:
         coefficients: c0, c1, ... [rad or m, per power of the parent's rad or m], at least one.
@@ -45,25 +45,25 @@ class Polynomial:
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         if len(coefficients) == 0:
-            raise ModelError("polynomial has no coefficients")
+            raise ModelError("a polynomial needs at least one coefficient")
         _check_count(len(coefficients))
         self._highest_first = tuple(
             c if is_symbol(c) else float(c) for c in reversed(coefficients)
         )
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float or an array."""
+        """Return f(z), f'(z) and f''(z); z is a float or an array."""
         return _horner(self._highest_first, z)
 
 
 class Harmonic:
-    """q_d = offset + amplitude sin(angular_frequency z + phase).
+    """Harmonic function q_d = offset + amplitude sin(angular_frequency z + phase).
 
     Args:
-        amplitude: [rad or m].
-        angular_frequency: [rad per rad or m of the parent].
-        phase: [rad].
-        offset: [rad or m].
+        amplitude: Amplitude [rad or m].
+        angular_frequency: Angular frequency [rad per rad or m of the parent].
+        phase: Phase at z = 0 [rad].
+        offset: Mean value [rad or m].
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Harmonic:
         self._offset = float(offset)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
+        """Return f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
         angle, rate = self._rate * z + self._phase, self._rate
         library = math if isinstance(z, float) else np
         height = self._amplitude * library.sin(angle)
@@ -84,24 +84,26 @@ class Harmonic:
 
 
 class PiecewisePolynomial:
-    """One polynomial an interval; the outer pieces continue beyond the outer breaks.
+    """Piecewise polynomial; the outer pieces continue beyond the outer breaks.
 
     Args:
-        breaks: Interval ends z_0 < z_1 < ... < z_n [rad or m].
-        coefficients: One row an interval, highest power first, in (z - left break).
+        breaks: Ends of the intervals z_0 < z_1 < ... < z_n [rad or m].
+        coefficients: One row per interval: coefficients of the powers of (z - left break), highest
+            power first.
 
     Raises:
-        ModelError: Breaks not increasing, or rows of another number or length.
+        ModelError: Breaks do not increase, or the number or length of rows does not match.
     """
 
     def __init__(self, breaks: Sequence[float], coefficients: Sequence[Sequence[float]]) -> None:
         _check_increasing(breaks, "breaks")
         if len(coefficients) != len(breaks) - 1:
             raise ModelError(
-                f"{len(coefficients)} rows of coefficients for {len(breaks) - 1} intervals"
+                f"coefficients have {len(coefficients)} rows, but there are {len(breaks) - 1} "
+                "intervals"
             )
         if len({len(row) for row in coefficients}) != 1 or len(coefficients[0]) == 0:
-            raise ModelError("rows of coefficients differ in length or are empty")
+            raise ModelError("rows of coefficients must have the same length, and not be empty")
         _check_count(len(coefficients[0]))
         self._lefts = [float(b) for b in breaks[:-1]]
         self._inner = self._lefts[1:]
@@ -110,7 +112,7 @@ class PiecewisePolynomial:
         self._row_array = np.array(self._rows)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
-        """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
+        """Return f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
         if isinstance(z, float):
             piece = bisect_right(self._inner, z)
             return _horner(self._rows[piece], z - self._lefts[piece])
@@ -125,14 +127,14 @@ CouplingFunction = Linear | Polynomial | Harmonic | PiecewisePolynomial
 
 
 def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
-    """Interpolating cubic spline with zero end curvature, continued by straight lines.
+    """Return the natural cubic spline through points, continued by straight lines.
 
     Args:
         x: Positions of the parent, increasing, at least two [rad or m].
         y: Positions of the dependent joint [rad or m].
 
     Raises:
-        ModelError: Lengths differ or x does not increase.
+        ModelError: The lengths differ, or x does not increase.
 
     Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IV.
     """
@@ -140,15 +142,15 @@ def natural_cubic_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePol
     h = np.diff(knots)
     right = 6.0 * np.diff(np.diff(values) / h)
     inner = tridiagonal(h[1:-1], 2.0 * (h[:-1] + h[1:]), right)
-    return through(knots, values, np.concatenate(([0.0], inner, [0.0])))
+    return cubic_spline_through(knots, values, np.concatenate(([0.0], inner, [0.0])))
 
 
 def simm_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
-    """Interpolating cubic spline whose end pieces have the third derivatives of four points.
+    """Return the cubic spline of SIMM and OpenSim through points.
 
-    The third derivative of the first piece is that of the cubic through the first four points, and
-    likewise at the other end; with three points it is 0 in both pieces. Beyond the points the
-    curve goes on straight. Two points give a line.
+    Its first piece has the third derivative of the cubic through the first four points, and
+    likewise its last piece; with three points, both third derivatives are 0. Beyond the points the
+    curve continues as a straight line. Two points yield a straight line.
 
     Args:
         x: Positions of the parent, increasing, at least two [rad or m].
@@ -163,7 +165,7 @@ def simm_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
     knots, values = checked_points(x, y)
     h = np.diff(knots)
     if len(h) == 1:
-        return through(knots, values, np.zeros(2))
+        return cubic_spline_through(knots, values, np.zeros(2))
     slopes = np.diff(values) / h
     third = np.zeros(2)
     if len(knots) > 3:
@@ -171,27 +173,29 @@ def simm_spline(x: Sequence[float], y: Sequence[float]) -> PiecewisePolynomial:
         third = (np.diff(second) / (knots[3:] - knots[:-3]))[[0, -1]]
     right = np.concatenate(([h[0] ** 2 * third[0]], np.diff(slopes), [-(h[-1] ** 2) * third[1]]))
     diagonal = np.concatenate(([-h[0]], 2.0 * (h[:-1] + h[1:]), [-h[-1]]))
-    return through(knots, values, 6.0 * tridiagonal(h, diagonal, right))
+    return cubic_spline_through(knots, values, 6.0 * tridiagonal(h, diagonal, right))
 
 
 def checked_points(x: Sequence[float], y: Sequence[float]) -> tuple[Array, Array]:
-    """Points of a spline as arrays.
+    """Check the points of a spline and return them as arrays.
 
     Raises:
-        ModelError: Lengths differ or x does not increase.
+        ModelError: The lengths differ, or x does not increase.
     """
     _check_increasing(x, "x")
     if len(x) != len(y):
-        raise ModelError(f"spline has {len(x)} x and {len(y)} y")
+        raise ModelError(f"spline has {len(x)} values of x and {len(y)} of y; both must be equal")
     return np.array(x, dtype=np.float64), np.array(y, dtype=np.float64)
 
 
-def through(knots: Array, values: Array, curvature: Array) -> PiecewisePolynomial:
-    """The cubic spline through points with these second derivatives there, straight beyond.
+def cubic_spline_through(knots: Array, values: Array, curvature: Array) -> PiecewisePolynomial:
+    """Return the cubic spline with given values and second derivatives at its knots.
+
+    Beyond the knots it continues as a straight line.
 
     Args:
-        knots: Shape (n,).
-        values: At the knots, shape (n,).
+        knots: Knots, shape (n,).
+        values: Values at the knots, shape (n,).
         curvature: Second derivatives at the knots, shape (n,).
     """
     h = np.diff(knots)
@@ -206,31 +210,31 @@ def through(knots: Array, values: Array, curvature: Array) -> PiecewisePolynomia
 
 
 def tridiagonal(off: Array, diagonal: Array, right: Array) -> Array:
-    """Solution of a symmetric tridiagonal system in a time linear in its size, shape (n,).
+    """Solve a symmetric tridiagonal system in linear time; the solution has shape (n,).
 
-    Elimination without pivots, which is stable where the diagonal dominates.
+    It is elimination without pivoting, which is stable for diagonally dominant matrices.
 
     Args:
-        off: Beside the diagonal, shape (n - 1,).
-        diagonal: Shape (n,).
+        off: Off-diagonal, shape (n - 1,).
+        diagonal: Diagonal, shape (n,).
         right: Right-hand side, shape (n,).
 
     Source: G. H. Golub, C. F. Van Loan, Matrix Computations, sec. 4.3.6.
     """
-    beside, pivots, reduced = off.tolist(), diagonal.tolist(), right.tolist()
-    for i, along in enumerate(beside):
-        share = along / pivots[i]
-        pivots[i + 1] -= share * along
-        reduced[i + 1] -= share * reduced[i]
+    off_diagonal, pivots, reduced = off.tolist(), diagonal.tolist(), right.tolist()
+    for i, entry in enumerate(off_diagonal):
+        factor = entry / pivots[i]
+        pivots[i + 1] -= factor * entry
+        reduced[i + 1] -= factor * reduced[i]
     solution = [0.0] * (len(pivots) + 1)
     for i in range(len(pivots) - 1, -1, -1):
-        beyond = beside[i] * solution[i + 1] if i < len(beside) else 0.0
-        solution[i] = (reduced[i] - beyond) / pivots[i]
+        known = off_diagonal[i] * solution[i + 1] if i < len(off_diagonal) else 0.0
+        solution[i] = (reduced[i] - known) / pivots[i]
     return np.array(solution[:-1])
 
 
 def _horner(coefficients: Any, z: Any) -> tuple[Any, Any, Any]:
-    """Value, first and second derivative of a polynomial, highest power first."""
+    """Return value, first and second derivative of a polynomial, highest power first."""
     value = slope = half_curvature = 0.0 * z
     for c in coefficients:
         half_curvature = half_curvature * z + slope
@@ -241,7 +245,9 @@ def _horner(coefficients: Any, z: Any) -> tuple[Any, Any, Any]:
 
 def _check_count(coefficients: int) -> None:
     if coefficients > MAX_COEFFICIENTS:
-        raise ModelError(f"{coefficients} coefficients, accepted are {MAX_COEFFICIENTS}")
+        raise ModelError(
+            f"a polynomial has {coefficients} coefficients, accepted are {MAX_COEFFICIENTS}"
+        )
 
 
 def _check_increasing(values: Sequence[float], name: str) -> None:

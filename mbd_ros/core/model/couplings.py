@@ -1,13 +1,12 @@
-"""Dependent joints: q = F(y), with G = dF/dy and the drift dG/dt y'.
+"""Coupled joints: q = F(y), with the coupling Jacobian G = dF/dy and the drift dG/dt y'.
 
-Every dependent joint follows one other joint, its parent, by a coupling function f. Chains are
-walked joint by joint:
+Every dependent joint follows one other joint, its parent, by a coupling function f. The recursion
 
     q_d = f(q_p),    v_d = f' v_p,    a_d = f' a_p + f'' v_p^2
 
-from the independent joints outwards gives F(y), G y' and G y'' + dG/dt y'; the same walk
-backwards, tau_p += f' tau_d, gives G' tau. After the backward walk tau_d is the coupling
-multiplier lam_d.
+from the independent joints outwards yields F(y), G y' and G y'' + dG/dt y'. The reverse recursion
+tau_p += f' tau_d yields G' tau; after it, tau_d is the coupling multiplier lam_d. G itself is not
+needed.
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-Slopes = list[Any]  # floats, or one array a joint for a batch
+Slopes = list[Any]  # f' of every coupling: floats, or arrays for a batch
 
 
 class Couplings:
     """All dependent joints of a robot.
 
     Args:
-        robot: The robot; its `<mimic>` joints join in.
-        couplings: Dependent joint -> what it follows; replaces a `<mimic>` of the same joint.
+        robot: The robot; its `<mimic>` joints are couplings too.
+        couplings: Dependent joint -> its coupling, which replaces a `<mimic>` of the same joint.
 
     Attributes:
         independent: Names of the independent joints, in the order of y.
         dependent: Names of the dependent joints, in the order of the multipliers.
         parents: Dependent joint -> its direct parent.
-        q_index: Where y stands in q, poses of free bases included, shape (ny,).
-        v_index: Where y' stands in v, shape (nv_y,).
-        pairs: The couplings in indices, parents before children.
+        q_index: Indices of y in q, including poses of free bases, shape (ny,).
+        v_index: Indices of y' in v, shape (nv_y,).
+        pairs: The couplings by index, parents before children.
 
     Raises:
-        ModelError: Unknown, fixed or locked joint, or a cycle, with the path.
+        ModelError: A joint is unknown, fixed or locked, or couplings form a cycle.
     """
 
     def __init__(self, robot: Robot, couplings: Mapping[str, Coupling] | None = None) -> None:
@@ -63,16 +62,16 @@ class Couplings:
         self._nv = int(robot.model.nv)
 
     def expand(self, q: Array, v: Array, a: Array, slopes: Slopes | None = None) -> Slopes:
-        """Fill the dependent rows of q, v and a from the independent ones, in place.
+        """Compute the dependent entries of q, v and a from the independent ones, in place.
 
         Args:
             q: Configuration, shape (nq,), or a batch (nq, n).
             v: Velocity, shape (nv,) or (nv, n).
             a: Acceleration, shape (nv,) or (nv, n).
-            slopes: Result of an earlier call, to be overwritten; a new list without it.
+            slopes: Result of an earlier call, which is overwritten; by default a new list.
 
         Returns:
-            The slope f' of every dependent joint at this configuration.
+            f' of every dependent joint at this configuration.
         """
         slopes = [0.0] * len(self.pairs) if slopes is None else slopes
         q_of, v_of, a_of = (x.item if x.ndim == 1 else x.__getitem__ for x in (q, v, a))
@@ -85,11 +84,11 @@ class Couplings:
         return slopes
 
     def reduce(self, tau: Array, slopes: Slopes) -> tuple[Array, Array]:
-        """G' tau and the multipliers.
+        """Return G' tau and the coupling multipliers.
 
         Args:
             tau: Generalized forces of all joints, shape (nv,) or (nv, n); overwritten.
-            slopes: What `expand` returned.
+            slopes: Result of `expand`.
 
         Returns:
             Forces of the independent coordinates, shape (nv_y,) or (nv_y, n), and the multiplier
@@ -100,7 +99,7 @@ class Couplings:
         return tau[self.v_index], tau[self._dependent_v]
 
     def positions(self, y: Array) -> Array:
-        """F(y): all positions of a fixed-base robot, shape (nq,).
+        """Return F(y), the positions of all joints of a fixed-base robot, shape (nq,).
 
         Args:
             y: Independent positions [rad or m], shape (ny,).
@@ -111,7 +110,7 @@ class Couplings:
         return q
 
     def jacobian(self, q: Array) -> Array:
-        """G = dF/dy at a configuration, shape (nv, nv_y)."""
+        """Return G = dF/dy at a configuration, shape (nv, nv_y)."""
         G = np.zeros((self._nv, len(self.v_index)))
         G[self.v_index, np.arange(len(self.v_index))] = 1.0
         for pair in self.pairs:
@@ -129,7 +128,7 @@ def _check_ends(robot: Robot, name: str, parent: str) -> None:
 
 
 def _outwards(functions: Mapping[str, Coupling]) -> list[str]:
-    """Dependent joints, parents before children."""
+    """Return the dependent joints, parents before children."""
     order: list[str] = []
     for name in functions:
         path = [name]
@@ -154,7 +153,7 @@ class Coupling(NamedTuple):
 
 
 class CoupledPair(NamedTuple):
-    """A coupling in indices of q and v."""
+    """A coupling by indices in q and v."""
 
     child_q: int
     child_v: int
@@ -164,13 +163,13 @@ class CoupledPair(NamedTuple):
 
 
 class IndependentCoordinates:
-    """Where joints and free bodies stand among the independent coordinates y and their rates.
+    """Indices of joints and free bodies among the independent coordinates y and their rates.
 
     Attributes:
-        joint_y: Places of the independent joints in y.
-        joint_w: Places of the independent joints in y'.
-        body_y: Places of each free body in y, 7 each.
-        body_w: Places of each free body in y', 6 each.
+        joint_y: Indices of the independent joints in y.
+        joint_w: Indices of the independent joints in y'.
+        body_y: Indices of each free body in y, 7 each.
+        body_w: Indices of each free body in y', 6 each.
     """
 
     def __init__(self, robot: Robot, couplings: Couplings) -> None:
@@ -184,11 +183,11 @@ class IndependentCoordinates:
         self._w = np.concatenate([self.joint_w, *self.body_w])
 
     def positions(self, joints_and_bodies: Array) -> Array:
-        """Coordinates y of joints, then bodies, shape (.., ny)."""
+        """Arrange coordinates of joints, then bodies, in the order of y, shape (.., ny)."""
         return self._arranged(joints_and_bodies, self._y)
 
     def rates(self, joints_and_bodies: Array) -> Array:
-        """Rates y' or y'' of joints, then bodies, shape (.., nv_y)."""
+        """Arrange rates of joints, then bodies, in the order of y', shape (.., nv_y)."""
         return self._arranged(joints_and_bodies, self._w)
 
     def _arranged(self, values: Array, at: NDArray[np.intp]) -> Array:

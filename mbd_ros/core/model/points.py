@@ -1,6 +1,6 @@
-"""Points on links and pairs of them: what parts bind while they are built and ask k about.
+"""Points on links, and pairs of points, that parts define when they are built.
 
-A handle is a number that `Robot` gives; every `Kinematics` binds its calls to it once.
+A `Point` is a handle with a number; the kinematics k of a state answers for it.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from mbd_ros.errors import ModelError
 
 
 class Places:
-    """All points and pairs of a robot, in the order of their numbers.
+    """Registry of all points and pairs of a robot, in the order of their numbers.
 
     Args:
         model: Pinocchio model of the robot.
 
     Attributes:
-        points: Where every point stands.
-        pairs: Where a and b of every pair stand, and its columns.
+        points: Place of every point.
+        pairs: Places of a and b, and columns, of every pair.
     """
 
     def __init__(self, model: Any) -> None:
@@ -34,7 +34,7 @@ class Places:
         self._pair_numbers: dict[tuple[int, int], int] = {}
 
     def point(self, frame: str, place: Place) -> Point:
-        """The point of a link at a place."""
+        """Return the point of a link at a place; equal places share one number."""
         key = place.joint, place.at.homogeneous.tobytes()
         number = self._numbers.setdefault(key, len(self.points))
         if number == len(self.points):
@@ -42,25 +42,25 @@ class Places:
         return Point(number, frame, place.joint != 0)
 
     def both(self, numbers: tuple[int, int]) -> tuple[Place, Place]:
-        """Where two points stand."""
+        """Return the places of two points."""
         return self.points[numbers[0]], self.points[numbers[1]]
 
     def pair(self, a: Point, b: Point) -> Pair:
-        """The pair of two points.
+        """Return the pair of two points.
 
         Raises:
-            ModelError: They do not move against each other.
+            ModelError: The points have no relative motion.
         """
         columns = self._columns(b) - self._columns(a)
         if not columns.any():
-            raise ModelError(f"frames '{a.frame}' and '{b.frame}' do not move against each other")
+            raise ModelError(f"frames '{a.frame}' and '{b.frame}' have no relative motion")
         number = self._pair_numbers.setdefault((a.number, b.number), len(self.pairs))
         if number == len(self.pairs):
             self.pairs.append((self.points[a.number], self.points[b.number], columns))
         return Pair(number, a, b, columns)
 
     def _columns(self, point: Point) -> Array:
-        """1 for the velocity coordinates that move a point, else 0, shape (nv,)."""
+        """Return 1 for velocity coordinates that move a point and 0 for others, shape (nv,)."""
         columns = np.zeros(self._model.nv)
         for j in self._model.supports[self.points[point.number].joint]:
             joint = self._model.joints[j]
@@ -70,11 +70,11 @@ class Places:
 
 
 class Place(NamedTuple):
-    """Where a point stands in the model.
+    """Position and axes of a point in the frame of the joint that carries it.
 
     Attributes:
-        joint: Index of the joint that carries it, 0 at rest.
-        at: `pinocchio.SE3` of its axes in the frame of that joint.
+        joint: Index of that joint, 0 for a fixed point.
+        at: `pinocchio.SE3` of the axes of the point in the frame of the joint.
     """
 
     joint: int
@@ -82,12 +82,12 @@ class Place(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point of a link, with axes that turn with the link.
+    """A point with axes, fixed to a link.
 
     Attributes:
-        number: Of the point, the same for points that coincide for ever.
+        number: Number of the point; points that always coincide share it.
         frame: Name of the link.
-        moves: Whether any joint moves it.
+        moves: Whether any joint moves the point.
     """
 
     number: int
@@ -96,13 +96,14 @@ class Point(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Two points that joints move against each other: b as an observer on a sees it.
+    """Two points in relative motion: b as seen from the axes of a.
 
     Attributes:
-        number: Of the pair.
-        b: What is observed.
-        columns: 1 for the velocity coordinates that move b alone, -1 for those that move a alone,
-            else 0, shape (nv,).
+        number: Number of the pair.
+        a: Point of the observer.
+        b: Observed point.
+        columns: 1 for velocity coordinates that move only b, -1 for those that move only a, 0 for
+            others, shape (nv,).
     """
 
     number: int
@@ -112,6 +113,6 @@ class Pair(NamedTuple):
 
 
 def rotation_matrix(rpy: Sequence[float]) -> Array:
-    """Rotation by roll, pitch and yaw as in URDF [rad], shape (3, 3)."""
+    """Return the rotation matrix of roll, pitch and yaw as in URDF [rad], shape (3, 3)."""
     rotation: Array = pin.rpy.rpyToMatrix(*map(float, rpy))
     return rotation

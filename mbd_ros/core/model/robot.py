@@ -1,4 +1,4 @@
-"""What moves in a scene, checked and frozen: joints, robots and bodies in one Pinocchio model."""
+"""The robots and bodies of a scene in one Pinocchio model, with their joints."""
 
 from __future__ import annotations
 
@@ -16,31 +16,33 @@ from mbd_ros.core.model.urdf import inertias_of, parse_urdf, root_link
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-BASE = "base"  # name of the base of the only robot
-FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
-WORLD = "world"  # a frame at rest, beside `universe`, unless a link is called so
+BASE = "base"  # name of the base of a single robot
+FAR = 2.0  # [m]; closer to the origin of the world, rounding errors do not matter
+WORLD = "world"  # the fixed frame, like `universe`, unless a link has this name
 
 
 @dataclass(frozen=True, repr=False)
 class Robot:
-    """A robot that passed every check; its model is shared and never written.
+    """All robots and bodies of a scene, checked and immutable.
 
     Attributes:
         name: Name in the description.
-        model: Pinocchio model of all robots and bodies, gravity set and locked joints removed.
+        model: Pinocchio model of all robots and bodies, with gravity and without locked joints;
+            it is shared and must not be modified.
         joints: Joints in the order of their velocity coordinates.
         mimics: The `<mimic>` elements, in topic names.
-        bases: Links that move freely, in the order of their coordinates.
-        locked: Position [rad or m] of every joint that was frozen and removed.
-        fixed: Names of the joints that never move.
-        doubts: Inertias that no body has and that can be used nevertheless, a line a link.
-        rubbing: The `<dynamics>` of joints; no force until a part of the scene brings it.
-        ignored: Other contents of the description, which this package leaves out.
-        origin: Point from which positions in the model count, those of free bodies too, in the
-            world [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m
-            away.
-        recipes: What its robots and bodies were read from.
-        places: Points that parts have asked for.
+        bases: Links with a free joint, in the order of their coordinates.
+        locked: Position [rad or m] of every joint that was locked and removed.
+        fixed: Names of the fixed joints.
+        inertia_warnings: Implausible inertias that can be used nevertheless, one line each.
+        joint_friction: The `<dynamics>` of joints; it exerts no force unless a part of the scene
+            models it.
+        ignored: Other contents of the description, which have no effect.
+        origin: Point in the world that positions in the model, also those of free bodies, are
+            relative to [m], shape (3,): 0, or the first joint of a fixed base if that is more
+            than 2 m away.
+        model_sources: The descriptions that its robots and bodies were read from.
+        places: Points that parts have defined.
     """
 
     name: str
@@ -50,21 +52,21 @@ class Robot:
     bases: tuple[Base, ...]
     locked: Mapping[str, float]
     fixed: frozenset[str]
-    doubts: tuple[str, ...]
-    rubbing: Mapping[str, Rubbing]
+    inertia_warnings: tuple[str, ...]
+    joint_friction: Mapping[str, FrictionCoefficients]
     ignored: tuple[str, ...]
     origin: Array
-    recipes: tuple[Recipe, ...]
+    model_sources: tuple[ModelSource, ...]
     places: Places = field(compare=False)
 
     @property
     def source(self) -> str:
         """File or topic of the description, or of the descriptions."""
-        return ", ".join(recipe.source for recipe in self.recipes)
+        return ", ".join(model_source.source for model_source in self.model_sources)
 
     @property
     def base_text(self) -> str:
-        """What moves freely, in words."""
+        """Whether the base is fixed or floating, or which bodies are free, for messages."""
         if not self.bases:
             return "fixed base"
         names = [base.name for base in self.bases]
@@ -72,33 +74,37 @@ class Robot:
 
     @property
     def floating(self) -> bool:
-        """Whether anything moves freely."""
+        """Whether any link has a free joint."""
         return bool(self.bases)
 
     @property
     def base_v(self) -> NDArray[np.intp]:
-        """Where the velocities of free bases stand in v, six each."""
+        """Indices in v of the velocities of free bases, six each."""
         return np.array(
             [i for base in self.bases for i in range(base.v.start, base.v.stop)], dtype=np.intp
         )
 
     @property
     def base_titles(self) -> dict[int, str]:
-        """Where in v free bases have coordinates -> what messages call them."""
+        """Index in v -> title of the free base that has this coordinate, for messages."""
         return {i: base.title for base in self.bases for i in range(base.v.start, base.v.stop)}
 
     @property
     def members(self) -> frozenset[str]:
-        """Names of the robots and bodies with joints; none for the only robot."""
+        """Names of the robots and bodies with joints; empty for a single robot without a name."""
         return frozenset(joint.member for joint in self.joints if joint.member)
 
     @property
-    def sliding(self) -> frozenset[str]:
-        """Names of the joints that slide."""
+    def prismatic_joints(self) -> frozenset[str]:
+        """Names of the prismatic joints."""
         return frozenset(joint.name for joint in self.joints if joint.kind == "prismatic")
 
     def joint(self, name: str) -> Joint:
-        """Joint of that topic name; a ModelError where it is missing, fixed or locked."""
+        """Return the joint with a topic name.
+
+        Raises:
+            ModelError: The joint does not exist, or it is fixed or locked.
+        """
         for joint in self.joints:
             if joint.name == name:
                 return joint
@@ -110,21 +116,28 @@ class Robot:
         raise ModelError(f"no joint '{name}'; the robot has {existing}")
 
     def axis(self, joint: Joint) -> Array:
-        """Unit motion of a joint in the axes of its child: linear, then angular, shape (6,)."""
-        mine = next(j for j in self.model.joints if j.nv == 1 and j.idx_v == joint.v)
-        data, q = mine.createData(), self.neutral()
-        mine.calc(data, q, np.zeros(int(self.model.nv)))
+        """Return the unit twist of a joint in the axes of its child (linear, angular), (6,)."""
+        joint_model = next(j for j in self.model.joints if j.nv == 1 and j.idx_v == joint.v)
+        data, q = joint_model.createData(), self.neutral()
+        joint_model.calc(data, q, np.zeros(int(self.model.nv)))
         return np.array(data.S, dtype=np.float64).reshape(6)
 
     def neutral(self) -> Array:
-        """Configuration with every joint at 0 and every base at its start, shape (nq,), fresh."""
+        """Return the configuration with all joints at 0 and all free bases at their initial pose.
+
+        The result is a new array, shape (nq,).
+        """
         q: Array = pin.neutral(self.model)
         for base in self.bases:
             q[base.q] = base.start
         return q
 
     def frame(self, name: str) -> int:
-        """Index in the model of the link (or frame) of that name; `world` is at rest."""
+        """Return the index in the model of a link (or frame); `world` is the fixed frame.
+
+        Raises:
+            ModelError: There is no such frame; the message lists the links.
+        """
         index = int(self.model.getFrameId(name, pin.FrameType.BODY))
         if index == len(self.model.frames):
             index = int(self.model.getFrameId(name))
@@ -141,51 +154,51 @@ class Robot:
         xyz: Sequence[float] = (0.0, 0.0, 0.0),
         rpy: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> Point:
-        """A point that travels with a link.
+        """Define a point with axes that is fixed to a link.
 
         Args:
-            frame: Link (or frame) that carries it; the root link of a fixed base, `world` or
-                `universe` for one at rest.
-            xyz: Where it is in `frame` [m], shape (3,).
+            frame: Link (or frame) of the point; the root link of a fixed base, `world` or
+                `universe` for a point that never moves.
+            xyz: Position in `frame` [m], shape (3,).
             rpy: Roll, pitch and yaw of its axes in `frame` as in URDF [rad], shape (3,).
         """
         link = self.model.frames[self.frame(frame)]
-        there = pin.SE3(rotation_matrix(rpy), np.array(xyz, dtype=np.float64))
-        return self.places.point(frame, Place(int(link.parentJoint), link.placement * there))
+        placement = pin.SE3(rotation_matrix(rpy), np.array(xyz, dtype=np.float64))
+        return self.places.point(frame, Place(int(link.parentJoint), link.placement * placement))
 
-    def turned(self, point: Point, rotation: Array) -> Point:
-        """The same point with axes that are turned in its own, rotation of shape (3, 3)."""
+    def rotated(self, point: Point, rotation: Array) -> Point:
+        """Define the same point with axes rotated in its own axes, `rotation` of shape (3, 3)."""
         joint, at = self.places.points[point.number]
         turn = pin.SE3(rotation, np.zeros(3))
         return self.places.point(point.frame, Place(joint, at * turn))
 
     def shifted(self, point: Point, xyz: Array) -> Point:
-        """A point with the same axes, at a place in these axes [m], shape (3,)."""
+        """Define a point with the same axes at the position xyz in these axes [m], shape (3,)."""
         joint, at = self.places.points[point.number]
         return self.places.point(point.frame, Place(joint, at * pin.SE3(np.eye(3), xyz)))
 
     def carrier(self, frame: str) -> Point:
-        """Origin and axes of the joint that carries a link."""
+        """Define the point at the origin, and with the axes, of the joint that carries a link."""
         joint = int(self.model.frames[self.frame(frame)].parentJoint)
         return self.places.point(frame, Place(joint, pin.SE3.Identity()))
 
     def pair(self, a: Point, b: Point) -> Pair:
-        """Point b as an observer on a sees it.
+        """Define a pair of points, for the motion of b relative to a.
 
         Raises:
-            ModelError: They do not move against each other.
+            ModelError: The points have no relative motion.
         """
         return self.places.pair(a, b)
 
     def inertias(self) -> dict[str, Any]:
-        """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
+        """Return link -> `pinocchio.Inertia` in the axes of the link, zero if it has none."""
         inertias = {}
-        for recipe in self.recipes:
-            tree = parse_urdf(recipe.text, recipe.source, recipe.inertias)
+        for model_source in self.model_sources:
+            tree = parse_urdf(model_source.text, model_source.source, model_source.inertias)
             root = root_link(tree)
             for link, inertia in inertias_of(tree).items():
-                is_named = link == root and bool(recipe.name)
-                inertias[recipe.name if is_named else recipe.scoped(link)] = inertia
+                is_named = link == root and bool(model_source.name)
+                inertias[model_source.name if is_named else model_source.scoped(link)] = inertia
         return inertias
 
     def __repr__(self) -> str:
@@ -209,9 +222,9 @@ class Joint:
         v: Index of its coordinate in a velocity.
         lower: Lower position limit [rad or m], -inf without one.
         upper: Upper position limit [rad or m], inf without one.
-        max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
-        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
-        member: Name of its robot or body in the scene, empty for the only robot.
+        max_velocity: Velocity limit [rad/s or m/s], inf where the description has 0 or none.
+        max_effort: Effort limit [N·m or N], inf where the description has none.
+        member: Name of its robot or body in the scene, empty for a single robot.
     """
 
     name: str
@@ -227,7 +240,7 @@ class Joint:
 
     @property
     def effort_name(self) -> str:
-        """What its effort is, torque or force."""
+        """Kind of its effort, torque or force."""
         return "force" if self.kind == "prismatic" else "torque"
 
     @property
@@ -242,16 +255,17 @@ class Joint:
 
 
 class Base(NamedTuple):
-    """A link that moves freely, and carries the links that hang on it.
+    """A root link with a free joint: the floating base of a robot, or a free body.
 
     Attributes:
-        name: `base` for the base of the only robot, else the name of its robot or body.
-        q: Its coordinates in a configuration: position less `Robot.origin` [m], then the
-            quaternion (x, y, z, w).
-        v: Its coordinates in a velocity: linear [m/s], then angular [rad/s], in its own axes.
+        name: `base` for a single robot, otherwise the name of its robot or body.
+        q: Slice of its coordinates in a configuration: position relative to `Robot.origin` [m],
+            then the quaternion (x, y, z, w).
+        v: Slice of its coordinates in a velocity: linear [m/s], then angular [rad/s], in the axes
+            of the link.
         joint: Index of its joint in the model.
         frame: Name of the link.
-        start: Where it starts unless a scene says otherwise, as in a configuration, shape (7,).
+        start: Default initial coordinates, shape (7,).
     """
 
     name: str
@@ -263,13 +277,13 @@ class Base(NamedTuple):
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Name of the base in messages."""
         return "the floating base" if self.name == BASE else f"free body '{self.name}'"
 
 
 @dataclass(frozen=True)
 class Mimic:
-    """A `<mimic>` of the description: joint = factor * parent + offset [rad or m]."""
+    """A `<mimic>` element of the description: joint = factor * parent + offset [rad or m]."""
 
     joint: str
     parent: str
@@ -277,33 +291,35 @@ class Mimic:
     offset: float
 
 
-class Rubbing(NamedTuple):
-    """A `<dynamics>` of the description.
+class FrictionCoefficients(NamedTuple):
+    """A `<dynamics>` element of the description.
 
     Attributes:
-        friction: Dry friction [N·m or N].
-        damping: Viscous [N·m·s/rad or N·s/m].
+        friction: Coulomb friction [N·m or N].
+        damping: Viscous friction coefficient [N·m·s/rad or N·s/m].
     """
 
     friction: float
     damping: float
 
 
-class Recipe(NamedTuple):
-    """One robot or body of a scene, before it is read.
+class ModelSource(NamedTuple):
+    """Description of one robot or body of a scene, with the options for reading it.
 
     Attributes:
-        source: File or topic of the text, for the messages.
-        base: `fixed`, or `floating` for a root link that moves freely.
-        locked: Joint -> position [rad or m] of joints to freeze and remove.
-        rename: URDF joint name -> the name that it goes by.
-        inertias: Of links, in place of those of the text, see `robot_reader.with_inertias`.
-        name: In the scene; empty for the only robot, whose links and joints keep their names.
-        pose: `pinocchio.SE3` of the root link in the world, at the start if that moves freely;
-            None where the description says.
-        shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
-            where the description says.
-        any_inertias: Whether moments of inertia that no body has are taken as they are.
+        text: URDF text.
+        source: File or topic of the text, for messages.
+        base: `fixed`, or `floating` for a root link with a free joint.
+        locked: Joint -> position [rad or m] of joints to lock and remove.
+        rename: URDF joint name -> topic name.
+        inertias: Inertias of links that replace those of the text, see
+            `robot_reader.with_inertias`.
+        name: Name in the scene; empty for a single robot, whose links and joints keep their names.
+        pose: `pinocchio.SE3` of the root link in the world, the initial one if it is free; None
+            for the pose in the description.
+        shape: Kind and sizes, as a scene writes them, of a body with a single link; None for the
+            shapes of the description.
+        any_inertias: Whether physically impossible moments of inertia are accepted.
     """
 
     text: str
@@ -318,20 +334,21 @@ class Recipe(NamedTuple):
     any_inertias: bool = False
 
     def scoped(self, name: str) -> str:
-        """What a joint, or a link that is not the root, is called in the scene."""
+        """Return the name in the scene of a joint, or of a link other than the root."""
         return f"{self.name}/{name}" if self.name else name
 
     def titled(self, text: str) -> str:
-        """A remark or message about the member, with its name before it."""
+        """Return a message with the name of the robot or body before it."""
         return f"{self.name}: {text}" if self.name else text
 
 
 def child_link(model: Any, v: int) -> str:
-    """Name of the link that a joint carries, whose axes are those of the joint.
+    """Return the name of the link that a joint carries and whose axes are those of the joint.
 
     Args:
+        model: Pinocchio model.
         v: Index of the coordinate of the joint in a velocity.
     """
-    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
+    joint = next(i for i, j in enumerate(model.joints) if i and j.idx_v == v)
     links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
     return str(next(link.name for link in links if link.placement.isIdentity()))

@@ -1,7 +1,7 @@
-"""URDF text -> a checked XML tree: strict numbers, a sound tree, masses that can exist.
+"""Parse and check URDF text: numbers, the tree of links, masses and inertias.
 
-`parse_urdf` refuses what cannot be read in one way only; `check_inertias` refuses masses and
-moments that no body has, and names those in doubt; the other functions read a checked tree.
+`parse_urdf` refuses ambiguous descriptions, `check_inertias` refuses physically impossible masses
+and moments of inertia and warns of implausible ones. The other functions read a checked tree.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from mbd_ros.errors import ModelError
 
 MAX_CHARACTERS = 16 * 1024 * 1024
 MAX_NAME = 255
-MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times the cube of nv, 0.9 GB
+MAX_JOINTS = 300  # moving joints; a Pinocchio Data takes 32 nv^3 bytes, here 0.9 GB
 MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_WITHOUT_RANGE = "limit"  # 1e308 stands for no limit in many files
+_WITHOUT_RANGE = "limit"  # many files write 1e308 for no limit
 _SHORTEST_AXIS = 1.0e-9
 _NUMERIC_ATTRIBUTES = {
     "origin": {"xyz": 3, "rpy": 3},
@@ -38,10 +38,10 @@ _NUMERIC_ATTRIBUTES = {
     "dynamics": {"damping": 1, "friction": 1},
 }
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_ROUNDED = 1.0e-3  # of the largest moment: published tensors have three digits, turned they mix
-_POINT = 1.0e-8  # m^2: a tenth of a millimetre as radius of gyration
+_ROUNDED = 1.0e-3  # of the largest moment: published tensors have three digits
+_POINT = 1.0e-8  # [m^2], a radius of gyration of 0.1 mm
 _EXACT_TRIANGLE = 1.0e-6  # relative
-_MEASURED = 0.1  # of the largest moment: moments from swinging parts are as wrong as that
+_MEASURED = 0.1  # of the largest moment: the error of moments from swing tests
 _ASYMMETRIC = 1.0e-9  # of the largest entry
 _EXPECTED = (
     "expected a pinocchio.Inertia, or mass [kg], mass centre [m] of 3 numbers and inertia about "
@@ -52,19 +52,23 @@ _EXPECTED = (
 def parse_urdf(
     text: str, source: str, inertias: Mapping[str, Any] | None = None
 ) -> ElementTree.Element:
-    """Root element of a URDF that has passed every check of this module.
+    """Parse a URDF and check names, numbers, joints and the tree of links.
 
     Args:
-        source: File or topic it came from, for the messages.
-        inertias: Of links, in place of those of the text, see `place_inertias`.
+        text: URDF text.
+        source: File or topic of the text, for messages.
+        inertias: Inertias of links that replace those of the text, see `place_inertias`.
+
+    Returns:
+        The root element.
 
     Raises:
-        ModelError: Names source, link or joint, attribute and what is wrong.
+        ModelError: A check failed; the message names source, link or joint, and attribute.
     """
     if not text.strip():
         raise ModelError(f"{source}: robot description is empty")
     if len(text) > MAX_CHARACTERS:
-        raise ModelError(f"{source}: {len(text)} characters, accepted are {MAX_CHARACTERS}")
+        raise ModelError(f"{source}: has {len(text)} characters, accepted are {MAX_CHARACTERS}")
     try:
         robot = xml_tree(text)
     except MarkupError as error:
@@ -84,20 +88,22 @@ def _check_names(robot: ElementTree.Element, source: str) -> None:
     for tag in ("link", "joint"):
         names = [element.get("name") or "" for element in robot.findall(tag)]
         if len(names) > MAX_LINKS:
-            raise ModelError(f"{source}: {len(names)} <{tag}>, accepted are {MAX_LINKS}")
+            raise ModelError(
+                f"{source}: has {len(names)} elements <{tag}>, accepted are {MAX_LINKS}"
+            )
         if "" in names:
             raise ModelError(f"{source}: a <{tag}> has no name")
-        odd = [name for name in names if not name.isprintable() or len(name) > MAX_NAME]
-        if odd:
+        unusable = [name for name in names if not name.isprintable() or len(name) > MAX_NAME]
+        if unusable:
             raise ModelError(
-                f"{source}: <{tag}> name {odd[0]!r}: accepted are up to {MAX_NAME} characters "
-                "that can be printed"
+                f"{source}: <{tag}> name {unusable[0]!r}: accepted are up to {MAX_NAME} printable "
+                "characters"
             )
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ModelError(f"{source}: <{tag}> name used twice: {', '.join(repeated)}")
     if robot.find("link") is None:
-        raise ModelError(f"{source}: no <link>")
+        raise ModelError(f"{source}: has no <link>")
 
 
 def _check_numbers(robot: ElementTree.Element, source: str) -> None:
@@ -106,13 +112,14 @@ def _check_numbers(robot: ElementTree.Element, source: str) -> None:
             text = element.get(attribute)
             if text is None:
                 continue
-            words, what = text.split(), f"{source}: {where}: <{element.tag} {attribute}='{text}'>"
-            sound = all(_NUMBER.fullmatch(word) and math.isfinite(float(word)) for word in words)
-            if len(words) != count or not sound:
+            values = text.split()
+            entry = f"{source}: {where}: <{element.tag} {attribute}='{text}'>"
+            are_finite = all(_NUMBER.fullmatch(v) and math.isfinite(float(v)) for v in values)
+            if len(values) != count or not are_finite:
                 expected = "a finite number" if count == 1 else f"{count} finite numbers"
-                raise ModelError(f"{what}: expected {expected} such as 1.5e-3")
-            if element.tag != _WITHOUT_RANGE and max(abs(float(w)) for w in words) > LARGEST:
-                raise ModelError(f"{what}: accepted are {-LARGEST:g} .. {LARGEST:g}")
+                raise ModelError(f"{entry}: expected {expected} such as 1.5e-3")
+            if element.tag != _WITHOUT_RANGE and max(abs(float(v)) for v in values) > LARGEST:
+                raise ModelError(f"{entry}: accepted are {-LARGEST:g} .. {LARGEST:g}")
 
 
 def _numeric_elements(robot: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
@@ -127,13 +134,13 @@ def _numeric_elements(robot: ElementTree.Element) -> Iterator[tuple[str, Element
 def _check_joints(robot: ElementTree.Element, source: str) -> None:
     moving = sum(joint.get("type") != "fixed" for joint in robot.findall("joint"))
     if moving > MAX_JOINTS:
-        raise ModelError(f"{source}: {moving} joints that move, accepted are {MAX_JOINTS}")
+        raise ModelError(f"{source}: has {moving} moving joints, accepted are {MAX_JOINTS}")
     links = {link.get("name") for link in robot.findall("link")}
     for joint in robot.findall("joint"):
         where = f"{source}: joint '{joint.get('name')}'"
         kind = joint.get("type")
         if kind not in JOINT_TYPES:
-            raise ModelError(f"{where}: type '{kind}', accepted: {', '.join(JOINT_TYPES)}")
+            raise ModelError(f"{where}: type is '{kind}', accepted: {', '.join(JOINT_TYPES)}")
         for role in ("parent", "child"):
             element = joint.find(role)
             link = None if element is None else element.get("link")
@@ -143,9 +150,9 @@ def _check_joints(robot: ElementTree.Element, source: str) -> None:
         if kind != "fixed" and axis < _SHORTEST_AXIS:
             state = f"shorter than {_SHORTEST_AXIS:g}" if axis else "zero"
             raise ModelError(f"{where}: axis is {state}")
-        limit, needed = joint.find("limit"), kind in ("revolute", "prismatic")
-        lacks = limit is not None and None in (limit.get("effort"), limit.get("velocity"))
-        if (needed and limit is None) or (lacks and kind != "continuous"):
+        limit, is_required = joint.find("limit"), kind in ("revolute", "prismatic")
+        is_incomplete = limit is not None and None in (limit.get("effort"), limit.get("velocity"))
+        if (is_required and limit is None) or (is_incomplete and kind != "continuous"):
             raise ModelError(f"{where}: a {kind} joint needs <limit> with effort and velocity")
 
 
@@ -159,44 +166,44 @@ def _check_tree(robot: ElementTree.Element, source: str) -> None:
     names = [link.get("name", "") for link in robot.findall("link")]
     roots = [name for name in names if name not in parent]
     if len(roots) != 1:
-        found = ", ".join(roots) or "none: the joints form a cycle"
-        raise ModelError(f"{source}: expected one root link, found {found}")
+        root_names = ", ".join(roots) or "none: the joints form a cycle"
+        raise ModelError(f"{source}: expected one root link, found {root_names}")
     for name in names:
-        seen = {name}
+        visited = {name}
         while (name := parent.get(name, "")) in parent:
-            if name in seen:
+            if name in visited:
                 raise ModelError(f"{source}: links form a cycle through '{name}'")
-            seen.add(name)
+            visited.add(name)
 
 
 def check_inertias(
     robot: ElementTree.Element, source: str, any_inertias: bool = False
 ) -> tuple[str, ...]:
-    """Refuse inertias that no body can have, and say which ones are in doubt.
+    """Refuse physically impossible inertias, and warn of implausible ones.
 
-    A negative mass, or a moment that is negative by more than rounding, would give motion a
-    negative energy: no result would mean anything. Moments that miss the triangle
-    inequality by more than measuring errors belong to no body either. All else is published
-    practice that inverse dynamics can use: links without mass, point masses, rods, inertia without
-    mass about the only axis that moves it. Whether forward dynamics can use
-    it depends on the whole mechanism: see `core/dynamics/mass.py`.
+    A negative mass, or a moment of inertia that is negative by more than rounding, would make the
+    kinetic energy negative. Moments that violate the triangle inequality by more than measurement
+    errors are impossible, too. Everything else occurs in published models, and inverse dynamics
+    can use it: links without mass, point masses, rods, and inertia without mass about the only
+    axis of motion. Whether forward dynamics can use it depends on the whole mechanism; see
+    `mbd_ros.core.dynamics.mass`.
 
     Args:
-        robot: The `<robot>` element; names, numbers and joints are checked.
-        source: File or topic it came from, for the messages.
-        any_inertias: Whether moments that no body has are in doubt only: published models have
-            some, and the mass matrix of the whole is mostly sound all the same.
+        robot: The `<robot>` element with checked names, numbers and joints.
+        source: File or topic of the description, for messages.
+        any_inertias: Whether impossible moments only cause a warning. Some published models have
+            such moments although their mass matrix is positive definite.
 
     Returns:
-        What is in doubt, a line a link.
+        Warnings, one per link.
 
     Raises:
-        ModelError: Names source, link, value and condition.
+        ModelError: An inertia is impossible; the message names source, link, value and condition.
     """
     joints = [joint for joint in robot.findall("joint") if joint.get("type") != "fixed"]
     moving = {link_name(joint, "child") for joint in joints}
-    doubts: list[str] = []
-    heavy = set()
+    warnings: list[str] = []
+    links_with_inertia = set()
     for link in robot.findall("link"):
         inertial, name = link.find("inertial"), link.get("name", "")
         if inertial is None:
@@ -205,19 +212,19 @@ def check_inertias(
         mass = numbers(inertial.find("mass"), "value", "0")[0]
         tensor = _tensor(inertial)
         if mass > 0 or tensor.any():
-            heavy.add(name)
-        _refuse(mass, tensor, f"{source}: link '{name}'", any_inertias)
-        found = list(_doubts(mass, tensor, name in moving))
-        doubts.extend(f"link '{name}': {text}" for text in found)
-    return (*doubts, *_without_mass(robot, moving, heavy))
+            links_with_inertia.add(name)
+        _refuse_impossible(mass, tensor, f"{source}: link '{name}'", any_inertias)
+        texts = _implausibilities(mass, tensor, name in moving)
+        warnings.extend(f"link '{name}': {text}" for text in texts)
+    return (*warnings, *_massless(robot, moving, links_with_inertia))
 
 
 def _check_complete(inertial: ElementTree.Element, where: str) -> None:
     for tag, attributes in (("mass", ("value",)), ("inertia", _MOMENTS)):
         element = inertial.find(tag)
-        lacking = [key for key in attributes if element is None or key not in element.attrib]
-        if lacking:  # the URDF reader would drop the whole <inertial>
-            raise ModelError(f"{where}: <{tag}> lacks {', '.join(lacking)}")
+        missing = [key for key in attributes if element is None or key not in element.attrib]
+        if missing:  # Pinocchio's URDF reader would silently ignore the <inertial>
+            raise ModelError(f"{where}: <{tag}> lacks {', '.join(missing)}")
 
 
 def _tensor(inertial: ElementTree.Element) -> Array:
@@ -226,25 +233,25 @@ def _tensor(inertial: ElementTree.Element) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _refuse(mass: float, tensor: Array, where: str, any_inertias: bool) -> None:
+def _refuse_impossible(mass: float, tensor: Array, where: str, any_inertias: bool) -> None:
     if mass < 0:
-        raise ModelError(f"{where}: mass is {mass:g} kg, expected > 0")
+        raise ModelError(f"{where}: mass is {mass:g} kg, but must not be negative")
     if any_inertias:
         return
     first, second, third = np.linalg.eigvalsh(tensor)
     if first < -(_ROUNDED * third + _POINT * mass):
         raise ModelError(
-            f"{where}: inertia is not positive definite, smallest principal moment {first:g} "
-            "kg m^2, and that is more than rounding"
+            f"{where}: inertia is not positive definite: its smallest principal moment is "
+            f"{first:g} kg m^2, which is more than rounding"
         )
     if mass > 0 and first + second < third * (1 - _MEASURED) - _POINT * mass:
         raise ModelError(
             f"{where}: inertia violates the triangle inequality: principal moments "
-            f"{first:g} + {second:g} < {third:g} kg m^2, by more than measuring errors"
+            f"{first:g} + {second:g} < {third:g} kg m^2, by more than measurement errors"
         )
 
 
-def _doubts(mass: float, tensor: Array, moves: bool) -> Iterator[str]:
+def _implausibilities(mass: float, tensor: Array, moves: bool) -> Iterator[str]:
     if mass == 0:
         if tensor.any():
             yield "inertia without mass"
@@ -263,55 +270,58 @@ def _doubts(mass: float, tensor: Array, moves: bool) -> Iterator[str]:
         )
 
 
-def _without_mass(robot: ElementTree.Element, moving: set[str], heavy: set[str]) -> Iterator[str]:
+def _massless(
+    robot: ElementTree.Element, moving: set[str], links_with_inertia: set[str]
+) -> Iterator[str]:
+    """Yield a warning for every moving link that neither has nor carries any inertia."""
     parent = {link_name(j, "child"): link_name(j, "parent") for j in robot.findall("joint")}
-    carried = set(heavy)
-    for name in heavy:
-        while (name := parent.get(name, "")) and name not in carried:
-            carried.add(name)
-    for name in sorted(moving - carried):
-        yield f"link '{name}' moves, but neither it nor what it carries has mass"
+    loaded = set(links_with_inertia)
+    for name in links_with_inertia:
+        while (name := parent.get(name, "")) and name not in loaded:
+            loaded.add(name)
+    for name in sorted(moving - loaded):
+        yield f"link '{name}' moves, but neither it nor the links that it carries have mass"
 
 
 def is_impossible(mass: float, tensor: Array) -> bool:
-    """Whether `check_inertias` refuses moments, by more than measuring errors."""
+    """Whether `check_inertias` refuses the moments of inertia of a body."""
     try:
-        _refuse(mass, tensor, "", False)
+        _refuse_impossible(mass, tensor, "", False)
     except ModelError:
         return mass >= 0
     return False
 
 
 def place_inertias(robot: ElementTree.Element, inertias: Mapping[str, Any], source: str) -> None:
-    """Put inertias into a description; its checks come afterwards.
+    """Put inertias into a description, which is checked afterwards.
 
     Args:
         robot: The `<robot>` element, changed in place.
         inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
             about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link.
-        source: File or topic of the description, for the messages.
+        source: File or topic of the description, for messages.
 
     Raises:
-        ModelError: There is no such link, or the numbers have another shape.
+        ModelError: There is no such link, or an inertia has a wrong shape.
     """
     links = {link.get("name", ""): link for link in robot.findall("link")}
     for name, inertia in inertias.items():
         if name not in links:
             raise ModelError(f"{source}: no link '{name}'; the links are {', '.join(links)}")
-        mass, centre, tensor = _numbers(inertia, f"{source}: link '{name}'")
+        mass, centre, tensor = _checked_inertia(inertia, f"{source}: link '{name}'")
         link = links[name]
         for old in link.findall("inertial"):
             link.remove(old)
         inertial = ElementTree.SubElement(link, "inertial")
-        words = " ".join(repr(float(value)) for value in centre)
-        ElementTree.SubElement(inertial, "origin", {"xyz": words})
+        xyz = " ".join(repr(float(value)) for value in centre)
+        ElementTree.SubElement(inertial, "origin", {"xyz": xyz})
         ElementTree.SubElement(inertial, "mass", {"value": repr(mass)})
         upper = (repr(float(value)) for value in tensor[np.triu_indices(3)])
         moments = dict(zip(_MOMENTS, upper, strict=True))
         ElementTree.SubElement(inertial, "inertia", moments)
 
 
-def _numbers(inertia: Any, where: str) -> tuple[float, Array, Array]:
+def _checked_inertia(inertia: Any, where: str) -> tuple[float, Array, Array]:
     if isinstance(inertia, pin.Inertia):
         inertia = (inertia.mass, inertia.lever, inertia.inertia)
     try:
@@ -326,7 +336,7 @@ def _numbers(inertia: Any, where: str) -> tuple[float, Array, Array]:
 
 
 def inertias_of(robot: ElementTree.Element) -> dict[str, Any]:
-    """Link -> `pinocchio.Inertia` of a checked description, 0 where it says nothing."""
+    """Return link -> `pinocchio.Inertia` of a checked description, zero for links without one."""
     inertias = {}
     for link in robot.findall("link"):
         inertial = link.find("inertial")
@@ -342,27 +352,27 @@ def inertias_of(robot: ElementTree.Element) -> dict[str, Any]:
 
 
 def numbers(element: ElementTree.Element | None, attribute: str, default: str) -> list[float]:
-    """Numbers of one attribute that has been checked before."""
+    """Return the numbers of an attribute of a checked description."""
     text = default if element is None else element.get(attribute, default)
     return [float(word) for word in text.split()]
 
 
 def link_name(joint: ElementTree.Element, role: str) -> str:
-    """Name of the `parent` or `child` link of a checked joint."""
+    """Return the name of the `parent` or `child` link of a checked joint."""
     element = joint.find(role)
     assert element is not None
     return element.get("link", "")
 
 
 def root_link(tree: ElementTree.Element) -> str:
-    """Name of the link that no joint carries."""
-    carried = {link_name(joint, "child") for joint in tree.findall("joint")}
+    """Return the name of the root link, which is the child of no joint."""
+    children = {link_name(joint, "child") for joint in tree.findall("joint")}
     names = (link.get("name", "") for link in tree.findall("link"))
-    return next(name for name in names if name not in carried)
+    return next(name for name in names if name not in children)
 
 
 def joint_kinds(tree: ElementTree.Element) -> dict[str, str]:
-    """Joint -> its type."""
+    """Return joint -> type."""
     return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
 
 

@@ -1,8 +1,8 @@
-"""XML text -> a tree of elements, in a time proportional to the text.
+"""Parse XML text into a tree of elements, in time proportional to the length of the text.
 
-Files of models are read leniently: comments may hold anything, blanks may stand before the XML
-declaration, and prefixes of names need no namespace. Nothing is taken from elsewhere: a document
-that declares a type or entities is refused.
+Model files are parsed leniently: comments may contain anything, blanks may precede the XML
+declaration, and prefixes of names need no namespace. Nothing is loaded from elsewhere: a document
+with a DOCTYPE or ENTITY declaration is refused.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-MAX_DEPTH = 256  # elements inside elements; each level takes a frame of Python in some readers
+MAX_DEPTH = 256  # of nested elements; some readers recurse once per level
 _COMMENT, _DATA = ("<!--", "-->"), ("<![CDATA[", "]]>")
 _DECLARED = "DOCTYPE and ENTITY declarations are refused"
 
 
 class MarkupError(ValueError):
-    """The text is no XML that is accepted; the message says why, and where there is a line."""
+    """The text is not accepted XML; the message says why, with the line if there is one."""
 
 
 def decoded(data: bytes) -> str:
-    """Return the text of a file in UTF-8 or, as old ones are, in Latin-1."""
+    """Return the text of a file in UTF-8 or, as in old files, in Latin-1."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -34,7 +34,7 @@ def xml_tree(text: str) -> ElementTree.Element:
     `__`. An encoding that the document declares is ignored.
 
     Raises:
-        MarkupError: No XML, a declaration of a type or an entity, or elements nested too deep.
+        MarkupError: The text is not XML, declares a DOCTYPE or ENTITY, or is nested too deep.
     """
     builder = _Tree()
     parser = expat.ParserCreate("utf-8")
@@ -52,7 +52,7 @@ def xml_tree(text: str) -> ElementTree.Element:
 
 
 class _Tree(ElementTree.TreeBuilder):
-    """Builds a tree of bounded depth."""
+    """Tree builder that limits the depth."""
 
     _depth = 0
 
@@ -72,7 +72,7 @@ def _refuse_declaration(*_: object) -> None:
 
 
 def _without_comments(text: str) -> str:
-    """The text without its comments, each line of it at its number."""
+    """Return the text without comments; lines keep their numbers."""
     pieces, at = [], 0
     while (start := text.find("<!", at)) >= 0:
         opening, closing = _DATA if text.startswith(_DATA[0], start) else _COMMENT
@@ -92,7 +92,7 @@ def _without_comments(text: str) -> str:
 
 
 def _without_declaration(text: str) -> str:
-    """The text without its XML declaration, each line of it at its number."""
+    """Return the text without its XML declaration; lines keep their numbers."""
     start = len(text) - len(text.lstrip())
     end = text.find("?>", start)
     if end < 0 or not text.startswith("<?xml", start):

@@ -1,11 +1,12 @@
-"""Fibres and tendon in series: forces, pennation, equilibrium.
+"""Contraction dynamics: fibres and tendon in series, with pennation and force equilibrium.
 
-A tendon pulls along the path, fibres at the angle of their `Pennation` to it. Forces are peak
-forces times curves of lengths per optimal fibre length and per slack length, and of the speed per
-largest speed. Numbers may be floats, symbols, or arrays with an entry a muscle, a sample or both.
+The tendon pulls along the path, and the fibres at the pennation angle to it. Forces are the peak
+force times normalised curves, whose arguments are fibre length per optimal fibre length, tendon
+length per slack length, and fibre speed per largest speed. Numbers may be floats, symbols, or
+arrays over muscles, samples or both.
 
-With the activation a, the speed v of fibres of the length l and the angle alpha, the fibres and
-the tendon of the length l_t are in equilibrium where
+With activation a, fibre length l, fibre speed v, pennation angle alpha and tendon length l_t, the
+equilibrium of fibres and tendon is
 
     (a f_l(l) f_v(v) + f_p(l) + d v) cos alpha = f_t(l_t)
 
@@ -28,10 +29,10 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
 Angle = Within(0.0, 1.57)
-_FLAT = 0.01  # of the optimal length: the shortest fibre where nothing limits the angle
-Number = Any  # float, symbol or array
-_POINT = 1.0e-9  # of the optimal length: where fibres without an angle have no length
-_LOOKED_AT, _HALVINGS = 400, 60  # lengths that are looked at, and halvings between two of them
+_FLAT = 0.01  # of the optimal length: the shortest fibre without a largest angle
+Number = Any  # a float, a symbol or an array
+_POINT = 1.0e-9  # of the optimal length, to avoid a division by 0
+_GRID, _HALVINGS = 400, 60  # lengths at which signs are compared, and bisections
 
 
 class Contraction(NamedTuple):
@@ -54,19 +55,19 @@ class Contraction(NamedTuple):
     curves: Any
 
     def cosine(self, k: Any, length: Number) -> Number:
-        """Cosine of the angle of fibres of a length [m]."""
+        """Return the cosine of the pennation angle of fibres of a length [m]."""
         if is_value(self.pennation.height, 0.0):
             return 1.0
         sine = self.pennation.height / k.maximum(length, _POINT * self.optimal)
         return k.sqrt(k.maximum(1.0 - sine * sine, 0.0))
 
     def beside_rigid_tendon(self, k: Any, length: Number, speed: Number) -> Fiber:
-        """Fibres beside a tendon of slack length.
+        """Return the fibres in series with a rigid tendon of slack length.
 
         Args:
-            k: Functions of numbers, symbols or arrays.
-            length: Of the path [m].
-            speed: Its rate [m/s].
+            k: Mathematical functions for numbers, symbols or arrays.
+            length: Length of the path [m].
+            speed: Rate of the length [m/s].
         """
         along = length - self.slack
         fiber = self.pennation.fiber(k, along)
@@ -75,12 +76,12 @@ class Contraction(NamedTuple):
         return Fiber(fiber, cosine, velocity)
 
     def active(self, k: Any, a: Number, fiber: Fiber) -> Number:
-        """Active force of the fibres, along them [N]."""
+        """Return the active force along the fibres [N]."""
         length, speed = fiber.length / self.optimal, fiber.velocity / self.fastest
         return self.peak * self.curves.fiber(k, a, length, speed)
 
     def passive(self, k: Any, fiber: Fiber) -> Number:
-        """Elastic force of the fibres, along them [N]."""
+        """Return the passive force along the fibres [N]."""
         return self.peak * self.curves.passive(k, fiber.length / self.optimal)
 
     def damping(self, fiber: Fiber) -> Number:
@@ -205,15 +206,16 @@ def contraction_of(
     pennation_angle: float,
     maximum_pennation_angle: float,
 ) -> Contraction:
-    """Fibres and tendon by what is published of a muscle.
+    """Return the contraction dynamics of a muscle with published parameters.
 
     Args:
-        max_isometric_force: [N].
-        optimal_fiber_length: The l_opt [m].
-        tendon_slack_length: [m].
-        max_contraction_velocity: In optimal fibre lengths [1/s].
-        pennation_angle: The a_opt [rad].
-        maximum_pennation_angle: Angle beyond which fibres do not shorten [rad]; 0 for none.
+        curves: Normalised force curves.
+        max_isometric_force: Peak force [N].
+        optimal_fiber_length: Fibre length of the peak force [m].
+        tendon_slack_length: Length up to which the tendon is slack [m].
+        max_contraction_velocity: Largest speed of shortening [optimal fibre lengths per second].
+        pennation_angle: Pennation angle at the optimal fibre length [rad].
+        maximum_pennation_angle: Pennation angle at which fibres stop shortening [rad]; 0 for none.
     """
     optimal, fastest = optimal_fiber_length, max_contraction_velocity * optimal_fiber_length
     if maximum_pennation_angle == 0.0:
@@ -232,13 +234,16 @@ def check_sizes(
     pennation_angle: float,
     maximum_pennation_angle: float,
 ) -> None:
-    """Refuse numbers of a muscle that do not go together.
+    """Refuse parameters of a muscle that contradict each other.
 
     Raises:
-        ModelError: An elastic tendon without length, or fibres beyond their largest angle.
+        ModelError: An elastic tendon has no length, or the pennation angle exceeds its maximum.
     """
     if tendon == "elastic" and tendon_slack_length <= 0.0:
-        raise ModelError("tendon_slack_length is 0: an elastic tendon has a length; else: rigid")
+        raise ModelError(
+            "tendon_slack_length is 0, but must be positive for an elastic tendon; otherwise use "
+            "tendon: rigid"
+        )
     if pennation_angle > 0.0 and pennation_angle >= maximum_pennation_angle:
         raise ModelError(
             f"pennation_angle {pennation_angle:g} must be below maximum_pennation_angle "
@@ -247,38 +252,40 @@ def check_sizes(
 
 
 def stable_lengths(contraction: Contraction, a: float, length: float) -> list[float]:
-    """Fibre lengths at rest to which fibres return by themselves, the shortest one first [m].
+    """Return the stable equilibrium lengths of the fibres at rest, in increasing order [m].
 
-    The rate of the fibre length has the sign of g = ft cos(a)^-1 - A fal - fpe, the surplus of the
-    tendon over fibres that neither shorten nor lengthen: a length is stable where g falls through
-    0. On the descending limb of the active force-length curve a compliant tendon lets fibres have
-    two such lengths, with one between them that is not stable. Where the tendon is slack at any
-    length, fibres shorten to the least one.
+    The rate of the fibre length has the sign of g = ft / cos(alpha) - a fal - fpe, the difference
+    of tendon force and isometric fibre force, so a length is stable where g decreases through 0.
+    On the descending limb of the active force-length curve, a compliant tendon allows two stable
+    lengths with an unstable one in between. If the tendon is slack at any length, fibres shorten
+    to the shortest length.
 
     Args:
-        length: Of the path [m].
+        contraction: The muscle.
+        a: Activation.
+        length: Length of the path [m].
     """
     shortest = contraction.pennation.shortest
     longest = contraction.pennation.fiber(Kinematics, length - contraction.slack)
     if longest <= shortest:
         return [shortest]
-    lengths = np.linspace(shortest, longest, _LOOKED_AT)
+    lengths = np.linspace(shortest, longest, _GRID)
     pulled = _surplus(ArrayNumbers, contraction, a, length, lengths) > 0.0
     falls = np.flatnonzero(pulled[:-1] & ~pulled[1:])
-    found = [_between(contraction, a, length, lengths[i : i + 2]) for i in falls]
-    return found if pulled[0] else [shortest, *found]
+    stable = [_bisect(contraction, a, length, lengths[i : i + 2]) for i in falls]
+    return stable if pulled[0] else [shortest, *stable]
 
 
 def _surplus(k: Any, contraction: Contraction, a: float, length: float, fiber_length: Any) -> Any:
-    """Force of the tendon along the fibres less that of fibres at rest, per peak force."""
+    """Return tendon force along the fibres minus isometric fibre force, per peak force."""
     relative, curves = fiber_length / contraction.optimal, contraction.curves
     stretch = contraction.stretch(k, length, fiber_length)
     pull = curves.tendon(k, stretch) / contraction.cosine(k, fiber_length)
     return pull - curves.fiber(k, a, relative, 0.0 * relative) - curves.passive(k, relative)
 
 
-def _between(contraction: Contraction, a: float, length: float, ends: Array) -> float:
-    """The zero of the surplus between two lengths, by halving."""
+def _bisect(contraction: Contraction, a: float, length: float, ends: Array) -> float:
+    """Return the zero of the surplus between two lengths by bisection."""
     low, high = ends.tolist()
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -75,11 +75,11 @@ class BezierCurve:
         rows = [(*each, total) for each, total in zip(self._segments, sums, strict=True)]
         row = k.piece(x, breaks, rows)
         s = Piece(*row[:4]).where(k, x)
-        found = row[8] + _area(row[:8], s)
+        integral = row[8] + _area(row[:8], s)
         before, after = self._beyond(k, x)
         for knot, d in ((self.knots[0], before), (self.knots[-1], after)):
-            found = found + d * (knot.y + 0.5 * knot.slope * d)
-        return found
+            integral = integral + d * (knot.y + 0.5 * knot.slope * d)
+        return integral
 
     def balanced(self, k: Any, scale: Number, factor: Number, sum_: Number) -> Number:
         """The x at which scale y(x) + factor x is a sum, where that increases with x.
@@ -97,11 +97,11 @@ class BezierCurve:
         row = k.piece(sum_, breaks, self._segments)
         along, over = Piece(*row[:4]), Piece(*row[4:])
         s = over.beside(scale, along, factor).where(k, sum_)
-        found = along.at(s)[0]
+        abscissa = along.at(s)[0]
         for knot, side in ((self.knots[0], k.minimum), (self.knots[-1], k.maximum)):
             lack = side(sum_ - (scale * knot.y + factor * knot.x), 0.0)
-            found = found + lack / (scale * knot.slope + factor)
-        return found
+            abscissa = abscissa + lack / (scale * knot.slope + factor)
+        return abscissa
 
     def _beyond(self, k: Any, x: Number) -> tuple[Number, Number]:
         """How far x is before the first knot, negative, and after the last one."""
@@ -187,14 +187,14 @@ class Piece(NamedTuple):
 
 
 class ArrayNumbers:
-    """What a curve asks of k where it gets arrays: one entry a muscle, a sample or both."""
+    """Piecewise evaluation for arrays: one entry a muscle, a sample or both."""
 
     exp, log, sqrt, tanh = np.exp, np.log, np.sqrt, np.tanh
     maximum, minimum, where = np.maximum, np.minimum, np.where
 
     @staticmethod
     def piece(x: Array, breaks: Sequence[Any], rows: Sequence[Sequence[Any]]) -> list[Any]:
-        """As `Kinematics.piece`, entry by entry."""
+        """Select pieces as `Kinematics.piece` does, entry by entry."""
         chosen = list(rows[0])
         for left, row in zip(breaks, rows[1:], strict=True):
             after = x >= left

@@ -1,13 +1,14 @@
 """Metabolic rate of a muscle: heat of activation, maintenance and shortening, and work.
 
-With mass m, excitation e, shares s and f of slow and fast fibres that it recruits, active and
-whole force of the fibres Fa and F, their velocity v, positive where they lengthen:
+m is the mass of the muscle, and e its excitation, which recruits the fractions s and f of slow and
+fast fibres. Fa and F are active and total force of the fibres. Their velocity v is positive in
+lengthening.
 
     s = r sin(pi e / 2),   f = (1 - r) (1 - cos(pi e / 2))
     rate = m (40 s + 133 f) + m L(l) (74 s + 111 f) - alpha F v - Fa v
 
-where alpha is 0.25 in shortening and 0 in lengthening, the whole is not negative, and its heat is
-not below 1 W/kg. Every choice is made by tanh, so that the rate has derivatives.
+where alpha is 0.25 in shortening and 0 in lengthening. The rate is not negative, and the heat is
+at least 1 W/kg. All switches are smoothed by tanh, so that the rate is differentiable.
 
 Source: L. J. Bhargava, M. G. Pandy, F. C. Anderson, A phenomenological model for estimating
 metabolic energy consumption in muscle contraction, J. Biomech. 37, 2004, 81-88; smooth as in
@@ -23,7 +24,7 @@ from typing import Any, NamedTuple
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
 
 Number = Any  # float, symbol or array
-BASAL = 1.2  # W/kg, of the whole body
+BASAL = 1.2  # [W/kg], basal rate of the body
 _ACTIVATION = 40.0, 133.0  # W/kg, slow and fast fibres
 _MAINTENANCE = 74.0, 111.0
 _SHORTENING = 0.25
@@ -33,12 +34,12 @@ _PIECES = ((0.5, 0.0), (0.0, 1.0), (3.0, -2.0), (0.0, 0.0))  # level and slope o
 
 
 class Metabolism(NamedTuple):
-    """Numbers of fibres that metabolic rates depend on.
+    """Metabolic parameters of muscle fibres.
 
     Attributes:
-        slow_twitch: Share of slow fibres, r.
-        specific_tension: Force per area [N/m^2], from which the mass follows.
-        density: [kg/m^3].
+        slow_twitch: Fraction r of slow fibres.
+        specific_tension: Peak force per area [N/m^2], from which the mass follows.
+        density: Density [kg/m^3].
         smoothing: Steepness of the tanh, per m/s and per W.
     """
 
@@ -48,7 +49,7 @@ class Metabolism(NamedTuple):
     smoothing: float = 10.0
 
     def mass(self, muscle: Contraction) -> Number:
-        """Mass of a muscle [kg]."""
+        """Return the mass of a muscle [kg]."""
         return muscle.peak / self.specific_tension * self.density * muscle.optimal
 
 
@@ -63,25 +64,29 @@ def metabolic_rate(
     fiber: Fiber,
     numbers: Metabolism,
 ) -> Number:
-    """Metabolic rate of a muscle [W].
+    """Return the metabolic rate of a muscle [W].
 
     Args:
-        k: Functions of numbers or symbols.
-        numbers: What else it depends on.
+        k: Mathematical functions for numbers or symbols.
+        muscle: Contraction dynamics of the muscle.
+        activation: Activation.
+        excitation: Excitation.
+        fiber: State of the fibres.
+        numbers: Metabolic parameters.
     """
     steep, mass, v = numbers.smoothing, numbers.mass(muscle), fiber.velocity
     slow, fast = _recruited(k, excitation, numbers.slow_twitch)
     active = muscle.active(k, activation, fiber)
-    whole = active + muscle.passive(k, fiber) + muscle.damping(fiber)
+    total = active + muscle.passive(k, fiber) + muscle.damping(fiber)
     level, slope = k.piece(fiber.length / muscle.optimal, _BREAKS, _PIECES)
     share = level + slope * fiber.length / muscle.optimal
     heat = mass * (_ACTIVATION[0] * slow + _ACTIVATION[1] * fast)
     heat = heat + mass * share * (_MAINTENANCE[0] * slow + _MAINTENANCE[1] * fast)
-    heat = heat - _chosen(k, steep * v, _SHORTENING * whole, 0.0) * v
+    heat = heat - _switch(k, steep * v, _SHORTENING * total, 0.0) * v
     work = -active * v
-    heat = heat - _chosen(k, -steep * (heat + work), 0.0, heat + work)
-    least = _LEAST_HEAT * mass
-    return _chosen(k, steep * (least - heat), heat, least) + work
+    heat = heat - _switch(k, -steep * (heat + work), 0.0, heat + work)
+    lowest = _LEAST_HEAT * mass
+    return _switch(k, steep * (lowest - heat), heat, lowest) + work
 
 
 def _recruited(k: Any, excitation: Number, slow_twitch: Number) -> tuple[Number, Number]:
@@ -89,6 +94,6 @@ def _recruited(k: Any, excitation: Number, slow_twitch: Number) -> tuple[Number,
     return slow_twitch * k.sin(angle), (1.0 - slow_twitch) * (1.0 - k.cos(angle))
 
 
-def _chosen(k: Any, condition: Number, first: Number, second: Number) -> Number:
-    """The first where a condition is far below zero, the second far above it."""
+def _switch(k: Any, condition: Number, first: Number, second: Number) -> Number:
+    """Return the first value if a condition is far below zero, the second if far above."""
     return first + (second - first) * (0.5 + 0.5 * k.tanh(condition))

@@ -112,23 +112,23 @@ def active_curve(first: Number, bend: Number, last: Number, slope: Number) -> Be
 
 
 def passive_curve(
-    zero: float, one: float, low: Number, stiffness: float | None, curviness: Number
+    zero: float, unit_strain: float, low: Number, stiffness: float | None, curviness: Number
 ) -> BezierCurve:
     """Passive force-length curve.
 
     Args:
         zero: Strain at which force begins.
-        one: Strain at which it is the peak force.
+        unit_strain: Strain at which it is the peak force.
         low: Slope at the end of its toe.
         stiffness: Slope at the peak force; None for twice the mean one.
         curviness: 0 .. 1.
     """
-    stiffness = 2.0 / (one - zero) if stiffness is None else stiffness
-    toe = _FOOT * min(1.0 / stiffness, one - zero)
+    stiffness = 2.0 / (unit_strain - zero) if stiffness is None else stiffness
+    toe = _FOOT * min(1.0 / stiffness, unit_strain - zero)
     knots = (
         Knot(1.0 + zero, 0.0, 0.0),
         Knot(1.0 + zero + toe, 0.5 * low * toe, low),
-        Knot(1.0 + one, 1.0, stiffness),
+        Knot(1.0 + unit_strain, 1.0, stiffness),
     )
     return BezierCurve(knots, (curviness,) * 2)
 

@@ -1,4 +1,4 @@
-"""Muscles of all types: a load along a path, with activation and fibre length as states."""
+"""Hill-type muscle: a tension along a path, with activation and fibre length as states."""
 
 from __future__ import annotations
 
@@ -27,20 +27,23 @@ _OUTPUTS = (
     Output("damping_loss", "W"),
 )
 Number = Any  # float, symbol or array
-_LEAST, _MORE = 0.5, 1.5  # of the factor of both time constants
+_Z0, _Z1 = 0.5, 1.5  # z = 0.5 + 1.5 a, the factor of both time constants
 
 
 class Muscle(PathLoad, Actuator):
-    """A muscle along a path: an actuator of no joint, whose command is its excitation.
+    """A muscle along a path, whose command is its excitation.
 
     Args:
-        contraction: Fibres and tendon.
-        dynamics: How activation follows excitation.
+        path: Path of the muscle.
+        contraction: Contraction dynamics of fibres and tendon.
+        dynamics: Activation dynamics.
         tendon: `elastic` or `rigid`.
     """
 
     joints = ()
     takes = "excitation of the muscle [-]"
+
+    has_metabolic_rate = True
 
     def __init__(
         self, path: Path, contraction: Contraction, dynamics: ActivationDynamics, tendon: str
@@ -63,14 +66,14 @@ class Muscle(PathLoad, Actuator):
         return self.tendon == "elastic"
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
-        """Force of the tendon [N]."""
+        """Return the tendon force [N]."""
         activation, fiber_length = self._states(k, x)
         if self.is_elastic:
             return self.contraction.tendon(k, length, fiber_length)
         return self.contraction.rigid_tension(k, activation, length, speed)
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rates of activation and fibre length [1/s, m/s]."""
+        """Return the rates of activation and fibre length [1/s, m/s]."""
         activation, fiber_length = self._states(k, x)
         rate = self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
         if not self.is_elastic:
@@ -80,49 +83,55 @@ class Muscle(PathLoad, Actuator):
         return k.array([rate, fiber.velocity])
 
     def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
-        """What is zero at rates w: fibres against tendon, in peak forces times largest speeds."""
+        """Return residuals that vanish at the rates w, for collocation.
+
+        The second one is the equilibrium of fibres and tendon, scaled by peak force and largest
+        speed.
+        """
         activation, fiber_length = self._states(k, x)
-        off = k.item(w, 0) - self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
+        residual = k.item(w, 0) - self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
         if not self.is_elastic:
-            return k.array([off])
+            return k.array([residual])
         length, speed = self.path.length(k, x), k.item(w, 1)
         lacking = self.contraction.lacking(k, activation, length, fiber_length, speed)
-        return k.array([off, self.contraction.fastest * lacking])
+        return k.array([residual, self.contraction.fastest * lacking])
 
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
-        """Activation and fibre length at rest; of several stable lengths the shortest one."""
-        found = x.z[self.z].copy()
-        found[0] = self._first_activation(x, u)
-        if self.is_elastic and math.isnan(found[1]):
-            found[1] = self.stable_lengths(found[0], self.path.length(k, x))[0]
-        return found
+        """Return activation and fibre length in equilibrium, with the shortest stable length."""
+        z = x.z[self.z].copy()
+        z[0] = self._initial_activation(x, u)
+        if self.is_elastic and math.isnan(z[1]):
+            z[1] = self.stable_lengths(z[0], self.path.length(k, x))[0]
+        return z
 
     def choices_at_rest(self, k: Kinematics, x: State, u: Array) -> list[float]:
-        """Stable fibre lengths among which `at_rest` chooses [m]; empty where there is no choice.
+        """Return the stable fibre lengths among which `at_rest` chooses [m], [] for no choice.
 
         Args:
-            x: State of all joints, z NaN where nothing is given.
+            k: Kinematics at the state.
+            x: State of all joints; z is NaN where the equilibrium is sought.
+            u: All inputs.
         """
         if not self.is_elastic or not math.isnan(x.z[self.z][1]):
             return []
-        found = self.stable_lengths(self._first_activation(x, u), self.path.length(k, x))
-        return found if len(found) > 1 else []
+        lengths = self.stable_lengths(self._initial_activation(x, u), self.path.length(k, x))
+        return lengths if len(lengths) > 1 else []
 
     def stable_lengths(self, activation: float, length: float) -> list[float]:
-        """Fibre lengths at which the muscle may rest, the shortest one first [m].
+        """Return the stable fibre lengths at rest, in increasing order [m].
 
         Args:
-            activation: From its least value to 1.
-            length: Of the path [m].
+            activation: Activation, from its lower bound to 1.
+            length: Length of the path [m].
         """
         return stable_lengths(self.contraction, activation, length)
 
     def command(self, torque: Array, x: State) -> Array:
-        """The least excitation, shape (1,): no torque of a joint is asked of a muscle alone."""
+        """Return the lowest excitation, shape (1,): torques do not determine the excitation."""
         return np.full(1, self.inputs[0].safe)
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of tendon and passive fibres [J]."""
+        """Return the energy of tendon and passive fibres [J]."""
         length, fiber_length = self.path.length(k, x), self._states(k, x)[1]
         if self.is_elastic:
             energy = self.contraction.tendon_energy(k, length, fiber_length)
@@ -131,18 +140,18 @@ class Muscle(PathLoad, Actuator):
         return self.contraction.fiber_energy(k, fiber.length)
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """Zeros, shape (nv, 1): an excitation reaches the joints through the activation alone."""
+        """Return zeros, shape (nv, 1): the excitation acts only through the activation."""
         return np.zeros((len(x.v), 1))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Forces, fibres and powers; `fiber_power` is what active fibres give, positive."""
+        """Return forces, fibre states and powers; `fiber_power` is that of the active force."""
         activation, _ = self._states(k, x)
         length, slope = self.path.measured(k, x)
         speed = k.dot(slope, x.v)
         fiber = self._fiber(k, x, length, speed)
         active = self.contraction.active(k, activation, fiber)
         damping = self.contraction.damping(fiber)
-        shown = (
+        outputs = (
             self.tension(k, x, u, length, speed),
             length,
             fiber.velocity,
@@ -151,15 +160,18 @@ class Muscle(PathLoad, Actuator):
             -active * fiber.velocity,
             damping * fiber.velocity,
         )
-        return shown if self.is_elastic else (*shown, fiber.length)
+        return outputs if self.is_elastic else (*outputs, fiber.length)
 
     def metabolic_rate(
         self, k: Kinematics, x: State, u: Array, numbers: Metabolism = USUAL_METABOLISM
     ) -> float:
-        """What the muscle takes from food [W], see `metabolic_rate`.
+        """Return the metabolic rate of the muscle [W], see `metabolic_rate`.
 
         Args:
-            numbers: Of its fibres.
+            k: Kinematics at the state.
+            x: State of all joints.
+            u: All inputs.
+            numbers: Metabolic parameters of its fibres.
         """
         activation, _ = self._states(k, x)
         length, slope = self.path.measured(k, x)
@@ -169,44 +181,56 @@ class Muscle(PathLoad, Actuator):
         return rate
 
     def active_force(self, length: Array, speed: Array) -> Array:
-        """Force along the tendon of the fully active fibres beside a rigid tendon [N].
+        """Return the force of fully active fibres along a rigid tendon [N].
 
-        The force at activation a is a times it, but for `thelen`, whose force-velocity curve
-        depends on a.
+        The force at activation a is a times this force, except for `thelen`, whose force-velocity
+        curve depends on a.
 
         Args:
-            length: Of the path [m], any shape.
-            speed: Its rate [m/s], same shape.
+            length: Length of the path [m], any shape.
+            speed: Rate of the length [m/s], same shape.
         """
         fiber = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed)
-        found: Array = self.contraction.active(ArrayNumbers, 1.0, fiber) * fiber.cosine
-        return found
+        force: Array = self.contraction.active(ArrayNumbers, 1.0, fiber) * fiber.cosine
+        return force
 
     def passive_force(self, length: Array) -> Array:
-        """Elastic force of the fibres along a rigid tendon [N], as `active_force`."""
+        """Return the passive force of the fibres along a rigid tendon [N].
+
+        Args:
+            length: Length of the path [m], any shape.
+        """
         fiber = self.contraction.beside_rigid_tendon(ArrayNumbers, length, 0.0 * length)
-        found: Array = self.contraction.passive(ArrayNumbers, fiber) * fiber.cosine
-        return found
+        force: Array = self.contraction.passive(ArrayNumbers, fiber) * fiber.cosine
+        return force
 
     def fiber_length(self, length: Array) -> Array:
-        """Fibre length beside a rigid tendon [m], as `active_force`."""
-        found: Array = self.contraction.pennation.fiber(
+        """Return the fibre length with a rigid tendon [m] at a length of the path [m]."""
+        fiber_length: Array = self.contraction.pennation.fiber(
             ArrayNumbers, length - self.contraction.slack
         )
-        return found
+        return fiber_length
 
     def fiber_velocity(self, length: Array, speed: Array) -> Array:
-        """Rate of the fibre length beside a rigid tendon [m/s], as `active_force`."""
-        found: Array = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed).velocity
-        return found
+        """Return the rate of the fibre length with a rigid tendon [m/s].
 
-    def _first_activation(self, x: State, u: Array) -> float:
-        """As given, or that of the excitation at rest."""
-        given = float(x.z[self.z][0])
-        return min(max(u[self.u].item(), self.dynamics.least), 1.0) if math.isnan(given) else given
+        Args:
+            length: Length of the path [m], any shape.
+            speed: Rate of the length [m/s], same shape.
+        """
+        fiber = self.contraction.beside_rigid_tendon(ArrayNumbers, length, speed)
+        velocity: Array = fiber.velocity
+        return velocity
+
+    def _initial_activation(self, x: State, u: Array) -> float:
+        """Return the activation in z, or that of the excitation in equilibrium if it is NaN."""
+        activation = float(x.z[self.z][0])
+        if math.isnan(activation):
+            return min(max(u[self.u].item(), self.dynamics.least), 1.0)
+        return activation
 
     def _states(self, k: Kinematics, x: State) -> tuple[float, float]:
-        """Activation and fibre length; the latter 0 beside a rigid tendon."""
+        """Return activation and fibre length; the length is 0 with a rigid tendon."""
         first = self.z.start or 0
         return k.item(x.z, first), k.item(x.z, first + 1) if self.is_elastic else 0.0
 
@@ -218,28 +242,28 @@ class Muscle(PathLoad, Actuator):
 
 
 class ActivationDynamics(Protocol):
-    """How activation follows excitation."""
+    """Activation dynamics: the rate of the activation as a function of the excitation."""
 
     @property
     def least(self) -> Any:
-        """Least activation."""
+        """Lower bound of the activation."""
 
     def rate(self, k: Any, e: Any, a: Any) -> Any:
-        """Rate of the activation a under the excitation e [1/s]."""
+        """Return the rate of the activation a under the excitation e [1/s]."""
 
 
 class FirstOrder(NamedTuple):
-    """a' = (e - a) / tau, tau by whether activation rises.
+    """First-order activation dynamics: a' = (e - a) / tau.
 
-    With z = 0.5 + 1.5 a, tau = rising z where e > a, and falling / z where not. The rate is
-    continuous and has a kink at e = a.
+    With z = 0.5 + 1.5 a, tau = rising z where e > a and tau = falling / z elsewhere. The rate is
+    continuous, with a kink at e = a.
 
     Source: D. G. Thelen, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112, eq. 1 and 2.
 
     Attributes:
-        rising: Time constant [s].
-        falling: Time constant [s].
-        least: The a_min.
+        rising: Time constant of rising activation [s].
+        falling: Time constant of falling activation [s].
+        least: Lower bound of the activation.
     """
 
     rising: Number
@@ -247,15 +271,17 @@ class FirstOrder(NamedTuple):
     least: Number
 
     def rate(self, k: Any, e: Number, a: Number) -> Number:
-        """A' [1/s]."""
-        factor = _LEAST + _MORE * a
-        lack = k.minimum(k.maximum(e, self.least), 1.0) - a
-        up, down = k.maximum(lack, 0.0), k.minimum(lack, 0.0)
+        """Return a' [1/s]."""
+        factor = _Z0 + _Z1 * a
+        difference = k.minimum(k.maximum(e, self.least), 1.0) - a
+        up, down = k.maximum(difference, 0.0), k.minimum(difference, 0.0)
         return up / (self.rising * factor) + down * factor / self.falling
 
 
 class SmoothFirstOrder(NamedTuple):
-    """a' = ((f + 1/2) / (rising z) + (1/2 - f) z / falling) (e - a), smooth everywhere.
+    """Smooth first-order activation dynamics.
+
+        a' = ((f + 1/2) / (rising z) + (1/2 - f) z / falling) (e - a)
 
     Here z = 0.5 + 1.5 a and f = tanh(b (e - a)) / 2.
 
@@ -263,8 +289,10 @@ class SmoothFirstOrder(NamedTuple):
     doi:10.1007/s10439-016-1591-9, eq. 1 and 2.
 
     Attributes:
-        rising: Time constant [s].
-        falling: Time constant [s].
+        rising: Time constant of rising activation [s].
+        falling: Time constant of falling activation [s].
+        least: Lower bound of the activation.
+        steepness: Steepness b of the transition between both time constants.
     """
 
     rising: Number
@@ -273,9 +301,9 @@ class SmoothFirstOrder(NamedTuple):
     steepness: Number
 
     def rate(self, k: Any, e: Number, a: Number) -> Number:
-        """A' [1/s]."""
-        factor = _LEAST + _MORE * a
-        lack = k.minimum(k.maximum(e, self.least), 1.0) - a
-        side = 0.5 * k.tanh(self.steepness * lack)
-        pace = (side + 0.5) / (self.rising * factor) + (0.5 - side) * factor / self.falling
-        return pace * lack
+        """Return a' [1/s]."""
+        factor = _Z0 + _Z1 * a
+        difference = k.minimum(k.maximum(e, self.least), 1.0) - a
+        f = 0.5 * k.tanh(self.steepness * difference)
+        inverse_tau = (f + 0.5) / (self.rising * factor) + (0.5 - f) * factor / self.falling
+        return inverse_tau * difference

@@ -1,8 +1,8 @@
-"""Forces of many muscles beside rigid tendons at once, from tables: microseconds for a frame.
+"""Forces of many muscles with rigid tendons at once, from tables, within microseconds.
 
-Curves are looked up instead of solved for: from knot to knot each is cut into cells with a
-polynomial of degree 5 through Chebyshev points, which leaves some 1e-12 of the peak force. Where a
-length or a speed is beyond its table, all muscles are asked directly.
+Between its knots, each curve is tabulated by polynomials of degree 5 through Chebyshev points,
+with an error of some 1e-12 of the peak force. If a length or speed is outside of its table, all
+muscles are evaluated directly.
 """
 
 from __future__ import annotations
@@ -22,54 +22,54 @@ _LENGTHS, _SPEEDS = (0.0, 2.5), (-2.0, 2.0)  # what tables cover, per optimal le
 
 
 class RigidTendons:
-    """Muscles side by side.
+    """Tabulated forces of muscles with rigid tendons.
 
     Args:
-        contractions: Of the muscles, at least one.
+        contractions: Contraction dynamics of the muscles, at least one.
     """
 
     def __init__(self, contractions: Sequence[Contraction]) -> None:
         self._muscles = tuple(contractions)
-        self._law = _stacked(contractions)
+        self._stacked_contraction = _stacked(contractions)
         known: dict[Any, list[_Table]] = {}
-        for one in contractions:
-            if one.curves.key not in known:
-                known[one.curves.key] = _tables(one.curves)
-        every = [known[one.curves.key] for one in contractions]
+        for muscle in contractions:
+            if muscle.curves.key not in known:
+                known[muscle.curves.key] = _tables(muscle.curves)
+        every = [known[muscle.curves.key] for muscle in contractions]
         self._tables = _Tables([tables[i] for i in range(3) for tables in every])
 
     def at(self, length: Array, speed: Array) -> RigidForces:
-        """Forces of all muscles.
+        """Return the forces of all muscles.
 
         Args:
-            length: Of the paths [m], shape (.., n).
-            speed: Their rates [m/s], same shape.
+            length: Lengths of the paths [m], shape (.., n).
+            speed: Rates of the lengths [m/s], shape (.., n).
         """
-        law, n = self._law, len(self._muscles)
-        fiber = law.beside_rigid_tendon(ArrayNumbers, length, speed)
-        relative, rate = fiber.length / law.optimal, fiber.velocity / law.fastest
-        asked = np.concatenate((relative, rate, relative), axis=-1)
-        if self._tables.hold(asked):
-            found = self._tables(asked)
-            factors = found[..., :n] * found[..., n : 2 * n], found[..., 2 * n :]
+        muscles, n = self._stacked_contraction, len(self._muscles)
+        fiber = muscles.beside_rigid_tendon(ArrayNumbers, length, speed)
+        relative, rate = fiber.length / muscles.optimal, fiber.velocity / muscles.fastest
+        arguments = np.concatenate((relative, rate, relative), axis=-1)
+        if self._tables.hold(arguments):
+            values = self._tables(arguments)
+            factors = values[..., :n] * values[..., n : 2 * n], values[..., 2 * n :]
         else:
             factors = self._directly(relative, rate)
-        along = law.peak * fiber.cosine
+        along = muscles.peak * fiber.cosine
         active, passive = (along * factor for factor in factors)
         return RigidForces(active, passive, fiber.length, fiber.velocity)
 
     def _directly(self, relative: Array, rate: Array) -> tuple[Array, Array]:
-        """Active and passive force per peak force, shape (.., n)."""
+        """Return active and passive force per peak force, shape (.., n)."""
         active, passive = np.empty(relative.shape), np.empty(relative.shape)
-        for i, one in enumerate(self._muscles):
-            at = relative[..., i]
-            active[..., i] = one.curves.fiber(ArrayNumbers, 1.0, at, rate[..., i])
-            passive[..., i] = one.curves.passive(ArrayNumbers, at)
+        for i, muscle in enumerate(self._muscles):
+            length = relative[..., i]
+            active[..., i] = muscle.curves.fiber(ArrayNumbers, 1.0, length, rate[..., i])
+            passive[..., i] = muscle.curves.passive(ArrayNumbers, length)
         return active, passive
 
 
 def _stacked(contractions: Sequence[Contraction]) -> Contraction:
-    """Sizes of all muscles as arrays, without their curves."""
+    """Return the parameters of all muscles as arrays, without their curves."""
     columns = zip(*(one[:4] for one in contractions), strict=True)
     pennations = zip(*(one.pennation for one in contractions), strict=True)
     peak, optimal, slack, fastest = (np.array(column) for column in columns)
@@ -155,7 +155,7 @@ class _Tables:
         return bool(((at >= self._lower) & (at <= self._upper)).all())
 
     def __call__(self, at: Array) -> Array:
-        """Values of the curves, shape (.., curves)."""
+        """Return the values of the curves, shape (.., curves)."""
         interval = self._first + (at[..., None] >= self._starts).sum(axis=-1)
         place = (at - self._starts.ravel()[interval]) * self._pace.ravel()[interval]
         cell = np.minimum(place.astype(np.intp), _CELLS - 1)
@@ -168,7 +168,7 @@ class _Tables:
 
 
 class RigidForces(NamedTuple):
-    """What muscles beside rigid tendons exert, shape (.., n) each.
+    """Forces of muscles with rigid tendons, shape (.., n) each.
 
     Attributes:
         active: Force along the tendon at full activation [N].

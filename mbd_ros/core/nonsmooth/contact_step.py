@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.contact_problem import ContactProblem, Residuals
-from mbd_ros.core.dynamics.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism
 from mbd_ros.core.nonsmooth.unilateral_rows import (
-    Acting,
     RowsAt,
+    RowSet,
     Slots,
     StepProblem,
     StepRows,
@@ -30,6 +29,7 @@ from mbd_ros.core.nonsmooth.unilateral_rows import (
 )
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
@@ -47,19 +47,19 @@ _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor tur
 _NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load
 _SETS = 256  # of rows that are remembered
 _WAYS = 4.0  # of a step: gaps that may close in it, whatever other rows push
-_CURVED = 2.0  # longest way of joints that follow others, of what their velocity says
+_CURVED = 2.0  # longest displacement of dependent joints, of the one that their velocity predicts
 _SCREENED_ROWS_OF_ONE = 3  # rows of one contact
 _SCREENED_SETS = 256  # of rows that are remembered
 
 
 class ContactSolver(UnilateralSolver):
-    """One complementarity problem a step for all rows that give way, contacts among them.
+    """Solves one complementarity problem a step for all rows, contacts among them.
 
-    Friction is against the slip at the end of the step where that begins, ends or turns round in
-    it, else against the mean slip of the step, which is of second order where slip turns.
+    Friction acts against the slip at the end of the step where a slip begins, ends or reverses in
+    it, and else against the mean slip of the step, which is of second order where a slip turns.
 
     Args:
-        rows: The rows; their bounds are those of the state that was last asked for.
+        rows: The rows, with the bounds of their last state.
         theta: Share of the velocity at the end of a step in the mean one.
 
     Attributes:
@@ -71,16 +71,16 @@ class ContactSolver(UnilateralSolver):
         super().__init__(rows)
         self._late = (1.0 - theta) / theta
         self.last = np.zeros(len(rows.rows))
-        self.forget()
+        self.reset_residuals()
         self._accepted: tuple[Array, Array | None, tuple[Any, ...]] = self.last, None, ()
-        self._sets: dict[bytes, Acting] = {}
+        self._sets: dict[bytes, RowSet] = {}
         self._answers = ConsistentRates()
-        self._solver: tuple[ImpulseResponse, Acting, Array, ContactProblem] | None = None
+        self._solver: tuple[ImpulseResponse, RowSet, Array, ContactProblem] | None = None
 
-    def end(
+    def solve(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
-        """Velocity at the end of the step; arguments as without contacts.
+        """Return the velocity at the end of the step.
 
         Rows that others push beyond 0 push, too.
         """
@@ -88,45 +88,45 @@ class ContactSolver(UnilateralSolver):
         if not len(closed):
             return free + 0.0
         while True:
-            end = self.pushed(problem, closed, free, near)
+            end = self.solve_active(problem, closed, free, near)
             more = problem.passed(end) & ~closed
             if not more.any():
                 return end
             closed = closed | more
 
-    def pushed(
+    def solve_active(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
         """Velocity at the end of the step if no other rows push; arguments as for `end`."""
         if not closed.any():
-            return super().pushed(problem, closed, free)
-        acting = problem.acting
-        on = np.flatnonzero((closed | ~acting.pushes)[acting.decides])
-        chosen = self._chosen(acting, on)
+            return super().solve_active(problem, closed, free)
+        row_set = problem.row_set
+        on = np.flatnonzero((closed | ~row_set.pushes)[row_set.decides])
+        chosen = self._chosen(row_set, on)
         if not chosen.cones:
-            return super().pushed(problem, closed, free)
+            return super().solve_active(problem, closed, free)
         return free + self._with_contacts(problem, chosen, on, free, near)
 
     def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
-        """Tangents of contacts whose friction would do work: slips that end within the step.
+        """Return the tangents of contacts whose slip ends within the step.
 
         Friction holds a contact at the end of a step. Where its slip ends early in the step, that
-        friction would push along the way that is left of it, and do work: such a step is divided
+        friction would push along the rest of the displacement, and do work: such a step is divided
         where the slip ends.
 
         Args:
-            problem: That of the step.
+            problem: Problem of the step.
             end: Velocity at its end, shape (nv,).
 
         Returns:
-            Among the rows of all; None without any.
+            Numbers among all rows; None without any.
         """
         self._accepted = self.last.copy(), self.forces, self.shared
-        tangents = problem.acting.tangents
+        tangents = problem.row_set.tangents
         if not len(tangents):
             return None
         before, after = _slips(problem, end, tangents)
-        push = self.last[problem.acting.at[tangents]].reshape(-1, 2)
+        push = self.last[problem.row_set.at[tangents]].reshape(-1, 2)
         gains = _dots(before + after, push) > _WORK * problem.speed(problem.free) ** 2
         if not gains.any():
             return None
@@ -134,11 +134,11 @@ class ContactSolver(UnilateralSolver):
             _dots(push, push)
         )
         gains &= _dots(before, before) > np.square(_SLIGHT * added)
-        chosen: Slots = problem.acting.at[tangents].reshape(-1, 2)[gains].ravel()
+        chosen: Slots = problem.row_set.at[tangents].reshape(-1, 2)[gains].ravel()
         return chosen if len(chosen) else None
 
     def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
-        """When the first of some slips ends if it goes on as in a short step [s].
+        """Return when the first of some slips ends if it goes on as in a short step [s].
 
         Args:
             slips: Tangents of contacts, among the rows of all.
@@ -148,7 +148,7 @@ class ContactSolver(UnilateralSolver):
         Returns:
             The time since the start of the short step; 0 if one has ended.
         """
-        tangents = np.flatnonzero(np.isin(problem.acting.at, slips))
+        tangents = np.flatnonzero(np.isin(problem.row_set.at, slips))
         if not len(tangents):
             return 0.0
         before, after = _slips(problem, end, tangents)
@@ -160,14 +160,14 @@ class ContactSolver(UnilateralSolver):
         return problem.h * float(parts.min())
 
     def accept(self) -> None:
-        """Go on from the step that `early_slips` looked at: those after it were tried only."""
+        """Accept the step that `early_slips` has searched; later ones were trials."""
         self.last[:], self.forces, self.shared = self._accepted
 
-    def way_correction(self, problem: StepProblem, end: Array) -> Array | None:
-        """What is taken from the way of a step, shape (nv,); None where friction does no work.
+    def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
+        """Return the correction of the displacement of a step; None where friction does no work.
 
-        Where slips are too slow for the step to be divided, contacts go their way with the slips
-        at the end of the step, so that friction only ever takes energy: with it they have gone
+        Where slips are too slow for the step to be divided, contacts move with the slips at the
+        end of the step, so that friction only ever takes energy: with it they have gone
         h s+ along their tangents instead of h ((1 - theta) s + theta s+), s the slips at the start
         and s+ those at the end, moved the least in the mass metric. Friction p, which is against
         s+, then takes the energy -p . s+ + (s+ - s) . A^-1 (s+ - s) / 2 >= 0.
@@ -176,15 +176,15 @@ class ContactSolver(UnilateralSolver):
             problem: That of the step.
             end: Velocity at its end, shape (nv,).
         """
-        acting, tangents = problem.acting, problem.acting.tangents
+        row_set, tangents = problem.row_set, problem.row_set.tangents
         if not len(tangents):
             return None
         before, after = _slips(problem, end, tangents)
-        push = self.last[acting.at[tangents]].reshape(-1, 2)
+        push = self.last[row_set.at[tangents]].reshape(-1, 2)
         least = _WORK * problem.speed(problem.free) ** 2
         if float(_dots(before + after, push).sum()) <= least:
             return None
-        touching = self.last[acting.at[tangents[::2] - 1]] > 0.0
+        touching = self.last[row_set.at[tangents[::2] - 1]] > 0.0
         rows = np.column_stack((tangents[::2] - 1, tangents[::2], tangents[1::2]))[
             touching
         ].ravel()
@@ -192,36 +192,36 @@ class ContactSolver(UnilateralSolver):
         X, A = problem.response.X[:, rows], problem.response.A[np.ix_(rows, rows)]
         scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), np.finfo(float).tiny))
         moved = np.linalg.lstsq(scale[:, None] * A * scale, scale * late, rcond=_DEPENDENT)[0]
-        way: Array = (1.0 - problem.theta) * problem.h * X.dot(scale * moved)
-        return way
+        displacement: Array = (1.0 - problem.theta) * problem.h * X.dot(scale * moved)
+        return displacement
 
-    def forget(self) -> None:
-        """Begin to look for the largest residuals anew."""
+    def reset_residuals(self) -> None:
+        """Set the largest residuals to 0."""
         self.worst = Residuals(0.0, 0.0, 0.0, 0.0)
 
     def _with_contacts(
         self,
         problem: StepProblem,
-        chosen: Acting,
+        chosen: RowSet,
         on: NDArray[np.intp],
         free: Array,
         near: Array | None,
     ) -> Array:
-        """What the impulses of some rows, contacts among them, add to a velocity."""
+        """Return what the impulses of some rows, contacts among them, add to a velocity."""
         response = problem.response
         A, solver = self._of(response, chosen, on)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
-        kept = self._kept_bend(problem, on, A)
-        b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
+        known_bend = self._kept_bend(problem, on, A)
+        b = problem.J[on].dot(free) + problem.offset[on] + (known_bend - problem.bend[on])
         room = problem.rates_left(on)
         b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
         warm = self.last[chosen.at]
         subproblem = ContactSubproblem(
-            problem, chosen, on, A, solver, b, kept, known, warm, near is not None
+            problem, chosen, on, A, solver, b, known_bend, known, warm, near is not None
         )
         p = None if near is None else self._sliding(subproblem, near)
         if p is None:
-            p = self._held(subproblem)
+            p = self._solve_or_hold(subproblem)
         else:
             self.shared = ()
         if near is not None:
@@ -234,8 +234,8 @@ class ContactSolver(UnilateralSolver):
         change: Array = response.X[:, on].dot(p)
         return change
 
-    def _held(self, subproblem: ContactSubproblem) -> Array:
-        """Impulses of a problem: the last ones, where contacts are held by them still."""
+    def _solve_or_hold(self, subproblem: ContactSubproblem) -> Array:
+        """Return impulses of a problem: the last ones, where contacts are held by them still."""
         at, A, last = subproblem.chosen.at, subproblem.A, self.shared
         same = bool(last) and np.array_equal(last[1], A) and np.array_equal(last[0], at)
         if same and subproblem.sticks():
@@ -244,7 +244,7 @@ class ContactSolver(UnilateralSolver):
         return subproblem.solve()
 
     def _of(
-        self, response: ImpulseResponse, chosen: Acting, on: NDArray[np.intp]
+        self, response: ImpulseResponse, chosen: RowSet, on: NDArray[np.intp]
     ) -> tuple[Array, ContactProblem]:
         """A of some rows and its solver, the ones before while nothing but forces changes."""
         if self._solver is None or not (response is self._solver[0] and chosen is self._solver[1]):
@@ -254,7 +254,7 @@ class ContactSolver(UnilateralSolver):
         return self._solver[2:]
 
     def _sliding(self, subproblem: ContactSubproblem, near: Array) -> Array | None:
-        """Impulses where some contacts slide all along; None where none does."""
+        """Return impulses where some contacts slide all along; None where none does."""
         problem, chosen, on, b = subproblem.problem, subproblem.chosen, subproblem.on, subproblem.b
         at, tangents = on[chosen.tangents], chosen.tangents
         J, own = problem.J[at], problem.offset[at] - problem.bend[at]
@@ -280,7 +280,7 @@ class ContactSolver(UnilateralSolver):
         return None
 
     def _kept_bend(self, problem: StepProblem, on: NDArray[np.intp], A: Array) -> Array:
-        """What rates have from the change of J, without what no motion of the bodies answers.
+        """Return the rates from the change of J, without the part that no motion of bodies makes.
 
         Rows that depend on one another would stick with rates that contradict one another: feet
         of a body that turns and comes to rest move apart by (w h)^2 / 2 of their distance.
@@ -292,26 +292,26 @@ class ContactSolver(UnilateralSolver):
         moved: Array = bend - none.dot(none.T.dot(bend))
         return moved
 
-    def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:
-        """The rows that are on; of a contact all or none."""
-        if len(on) == len(acting.at):
-            return acting
-        key = acting.at[on].tobytes()
+    def _chosen(self, row_set: RowSet, on: NDArray[np.intp]) -> RowSet:
+        """Return the rows that are on; of a contact all or none."""
+        if len(on) == len(row_set.at):
+            return row_set
+        key = row_set.at[on].tobytes()
         if key not in self._sets:
             if len(self._sets) >= _SETS:
                 self._sets.clear()
-            self._sets[key] = acting.chosen(on)
+            self._sets[key] = row_set.chosen(on)
         return self._sets[key]
 
 
 def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Slips at the start and at the end of a step [m/s], shape (n, 2) each."""
+    """Return slips at the start and at the end of a step [m/s], shape (n, 2) each."""
     after = problem.J[tangents].dot(end) + problem.offset[tangents]
     return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
 
 
 def _dots(a: Array, b: Array) -> Array:
-    """Products of vectors, shape (n,)."""
+    """Return products of vectors, shape (n,)."""
     return np.einsum("ij,ij->i", a, b)
 
 
@@ -342,7 +342,7 @@ class ContactSubproblem(NamedTuple):
     """
 
     problem: StepProblem
-    chosen: Acting
+    chosen: RowSet
     on: NDArray[np.intp]
     A: Array
     solver: ContactProblem
@@ -353,7 +353,7 @@ class ContactSubproblem(NamedTuple):
     shared: bool
 
     def solve(self, late: Array | None = None) -> Array:
-        """The impulses, shape (m,); arguments as for `ContactProblem`."""
+        """Return the impulses, shape (m,); arguments as for `ContactProblem`."""
         known = *self.known, late, self.warm
         return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
 
@@ -372,7 +372,7 @@ class ContactSubproblem(NamedTuple):
         return work <= _WORK * self.known[2] ** 2
 
     def left(self, p: Array) -> Residuals:
-        """What impulses leave of the laws where all contacts are at rest."""
+        """Return what impulses leave of the laws where all contacts are at rest."""
         w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
         slips = w.reshape(-1, 3)[:, 1:]
         mu = np.array([cone.mu for cone in self.chosen.cones])
@@ -388,14 +388,14 @@ class ConsistentRates:
         self._last: tuple[Array, Array] | None = None
 
     def none(self, A: Array) -> Array:
-        """Rates that no impulses make, orthonormal in columns, shape (m, dependent)."""
+        """Return rates that no impulses make, orthonormal in columns, shape (m, dependent)."""
         if self._last is None or self._last[0] is not A:
             values, ways = np.linalg.eigh(0.5 * (A + A.T))
             self._last = A, ways[:, values <= redundant(len(A)) * values[-1]]
         return self._last[1]
 
     def possible(self, late: Array, A: Array, slide: Slots) -> Array:
-        """Earlier rates of tangents that slide, as far as they contradict no other rows.
+        """Return earlier rates of tangents that slide, as far as they contradict no other rows.
 
         Args:
             late: Rates, 0 but at these tangents, shape (m,).
@@ -411,12 +411,11 @@ class ConsistentRates:
 
 
 class ContactScreening(StepRows):
-    """Rows that give way; features of contacts only where a step may close their gaps.
+    """Unilateral and bounded rows, with contacts only where a step may close their gaps.
 
-    A contact that is farther away than its bodies can go in a few steps is not looked at. What is
-    known of its gap is reduced by the largest speed of the gap per speed of the joints, times the
-    way that the joints have gone since (`core/dynamics/gap_speed_bound`). That saves time and
-    changes no result.
+    A contact that its bodies cannot close within a few steps is not evaluated: its last gap is
+    reduced by the largest speed of the gap per speed of the joints, times the displacement of the
+    joints since (`core/rows/gap_speed_bound`). That saves time and changes no result.
 
     Args:
         is_whole: Whether all joints are integrated; others may curve on their way.
@@ -424,48 +423,48 @@ class ContactScreening(StepRows):
 
     def __init__(self, mechanism: Mechanism, rows: ConstraintRows, is_whole: bool) -> None:
         super().__init__(mechanism, rows)
-        self._sets: dict[bytes, Acting] = {}
+        self._sets: dict[bytes, RowSet] = {}
         self._longer = 1.0 if is_whole else _CURVED
         self._data = mechanism.data
         self._m = len(rows.rows)
         blocks = list(zip(rows.blocks, rows.slices, strict=True))
-        own = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
+        contacts = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
         others = [(block, at) for block, at in blocks if block.law.kind is not Kind.CONE]
-        self._contacts = [(part, np.arange(at.start, at.stop)) for part, at in own]
+        self._contacts = [(part, np.arange(at.start, at.stop)) for part, at in contacts]
         self._others = ConstraintRows([block for block, _ in others], int(mechanism.model.nv))
         is_other = np.zeros(self._m, dtype=np.bool_)
         for _, at in others:
             is_other[at] = True
         self._at_others = np.flatnonzero(is_other)
-        self._others_push = bool(self.every.pushes[is_other].any())
-        self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
-        self._responded: tuple[bytes, bytes, ImpulseResponse] | None = None
-        self._room = np.zeros(len(own))
+        self._others_push = bool(self.all_rows.pushes[is_other].any())
+        self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in contacts])
+        self._last_response: tuple[Array, Array, ImpulseResponse] | None = None
+        self._room = np.zeros(len(contacts))
         self._spare = 0.0
         self._q = mechanism.zero
-        self._way = mechanism.zero
-        self._ways = mechanism.zero.copy()
-        acting = self._acting(self.every.at[:0])
-        self._nothing = RowsAt(acting, np.zeros((0, len(self._way))), *np.zeros((3, 0)))
+        self._displacement = mechanism.zero
+        self._path = mechanism.zero.copy()
+        row_set = self._row_set(self.all_rows.at[:0])
+        self._nothing = RowsAt(row_set, np.zeros((0, len(self._displacement))), *np.zeros((3, 0)))
 
-    def turning(self, v: Array) -> float:
+    def turn_rate(self, v: Array) -> float:
         """How fast bodies turn with a velocity of all joints, of all of them together [rad/s]."""
         return float(np.linalg.norm(self._speed.turns * v))
 
-    def begin(self, q: Array) -> None:
-        """Learn from which configuration of what is integrated a step starts."""
+    def start_from(self, q: Array) -> None:
+        """Take note of the configuration from which a step starts."""
         if q is not self._q:
             self._room[:] = self._speed.room[:] = self._spare = 0.0
 
-    def moved(self, q: Array, way: Array) -> None:
-        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
-        self._q, self._way = q, self._longer * way
-        way = self._way
-        self._ways += np.abs(way)
-        self._spare -= math.sqrt(way.dot(way))
+    def record_displacement(self, q: Array, displacement: Array) -> None:
+        """Take note of a displacement of all joints, shape (nv,), and where it leads."""
+        self._q = q
+        self._displacement = self._longer * displacement
+        self._path += np.abs(self._displacement)
+        self._spare -= math.sqrt(self._displacement.dot(self._displacement))
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
-        """The rows at a state of all joints; arguments as for all rows."""
+        """Return the rows at a state of all joints; arguments as for all rows."""
         k, rows, others = self._k, self.rows, self._others
         fastest = math.sqrt(max(x.v.dot(x.v), free.dot(free)))
         if self._spare > _WAYS * h * fastest:
@@ -479,46 +478,46 @@ class ContactScreening(StepRows):
         if rows.varies:
             rows.limit(k, x)
         at: list[NDArray[np.intp]] = []
-        found: list[tuple[Array, ...]] = []
+        pieces: list[tuple[Array, ...]] = []
         if len(self._at_others):
             J, drift = others.accelerations(k, x)
             at.append(self._at_others)
-            found.append((J, drift, others.residual(k, x), others.rate(k, x)))
+            pieces.append((J, drift, others.residual(k, x), others.rate(k, x)))
         for i in looked_at:
-            part, own = self._contacts[i]
+            part, slots = self._contacts[i]
             gap = part.residual(k, x)
             near = np.repeat(gap[::3] < ways[i], 3)
             if near.any():
                 each = *part.accelerations(k, x), gap, part.rate(k, x)
                 is_whole = near.all()
-                at.append(own if is_whole else own[near])
-                found.append(each if is_whole else tuple(array[near] for array in each))
-        if not found:
+                at.append(slots if is_whole else slots[near])
+                pieces.append(each if is_whole else tuple(array[near] for array in each))
+        if not pieces:
             return self._nothing
-        if len(found) == 1 and at[0] is not self._at_others:
-            J, *known = found[0]
-            return RowsAt(self._acting(at[0]), _rounded(J), *known)
-        J, *stacked = (np.concatenate(each) for each in zip(*found, strict=True))
-        return RowsAt(self._acting(np.concatenate(at)), _rounded(J), *stacked)
+        if len(pieces) == 1 and at[0] is not self._at_others:
+            J, *known = pieces[0]
+            return RowsAt(self._row_set(at[0]), _rounded(J), *known)
+        J, *stacked = (np.concatenate(each) for each in zip(*pieces, strict=True))
+        return RowsAt(self._row_set(np.concatenate(at)), _rounded(J), *stacked)
 
-    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
-        """As of all rows; that of the last step where nothing has turned since."""
-        if len(J) <= _SCREENED_ROWS_OF_ONE or not held.is_free:
-            return held.of(J)
-        key = K.tobytes(), J.tobytes()
-        if self._responded is None or key != self._responded[:2]:
-            self._responded = *key, held.of(J)
-        return copy(self._responded[2])
+    def response(self, without_rows: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """Return the response of the joints; that of the last step where K and J are the same."""
+        if len(J) <= _SCREENED_ROWS_OF_ONE or not without_rows.is_free:
+            return without_rows.of(J)
+        last = self._last_response
+        if last is None or not (np.array_equal(K, last[0]) and np.array_equal(J, last[1])):
+            self._last_response = last = K, J, without_rows.of(J)
+        return copy(last[2])
 
     def gaps(self, x: State) -> Array | None:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+        """Return g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
 
         Contacts that have room are passed over, and count as infinitely far; None where all rows
         are.
         """
         looked_at = list[int]()
-        if self._spare <= _WAYS * math.sqrt(self._way.dot(self._way)):
-            ways = self._reach(_WAYS * np.abs(self._way))
+        if self._spare <= _WAYS * math.sqrt(self._displacement.dot(self._displacement)):
+            ways = self._reach(_WAYS * np.abs(self._displacement))
             looked_at = np.flatnonzero(self._room <= ways).tolist()
         if not looked_at and not self._others_push:
             return None
@@ -531,37 +530,37 @@ class ContactScreening(StepRows):
         for i in looked_at:
             part, at = self._contacts[i]
             gaps[at] = part.residual(self._k, x)
-            pair = getattr(part, "pair", None)
+            pair = part.pair
             own = gaps[at[::3]]
-            self._room[i] = own.min() if pair is None else pair.room(self._k, own)
+            self._room[i] = own.min() if pair is None else pair.clearance(self._k, own)
         if looked_at:
             self._spare = self._speed.shortest(self._room)
-        return np.where(self.every.pushes, gaps, np.inf)
+        return np.where(self.all_rows.pushes, gaps, np.inf)
 
-    def _reach(self, way: Array) -> Array:
-        """How far gaps change at most on a way of the joints [m], one a contact.
+    def _reach(self, displacement: Array) -> Array:
+        """Return how far gaps change at most on a displacement of the joints [m], one a contact.
 
         Brings `room` up to date.
         """
-        speed, gone = self._speed, self._speed.weights.dot(self._ways)
+        speed, gone = self._speed, self._speed.weights.dot(self._path)
         self._room -= gone
         speed.room -= gone
-        self._ways[:] = 0.0
+        self._path[:] = 0.0
         self._spare = speed.shortest(self._room)
-        return np.where(speed.room > 0.0, speed.weights.dot(way), np.inf)
+        return np.where(speed.room > 0.0, speed.weights.dot(displacement), np.inf)
 
-    def _acting(self, at: NDArray[np.intp]) -> Acting:
-        """The rows that stand there; of a contact all or none."""
+    def _row_set(self, at: NDArray[np.intp]) -> RowSet:
+        """Return the rows that stand there; of a contact all or none."""
         key = at.tobytes()
         if key not in self._sets:
             if len(self._sets) >= _SCREENED_SETS:
                 self._sets.clear()
-            self._sets[key] = self.every.chosen(at)
+            self._sets[key] = self.all_rows.chosen(at)
         return self._sets[key]
 
 
 def _rounded(J: Array) -> Array:
-    """Rows to the last digit of the largest entry of each column.
+    """Return rows to the last digit of the largest entry of each column.
 
     What rounding leaves of entries that are 0 differs from step to step, also of bodies at rest.
     """

@@ -44,15 +44,15 @@ def with_friction(
     """
     problem = ContactProblem(response.A, response.loose, names, cones)
     compression = problem.pushing(approach, speed)
-    given_back = e * compression
-    if not given_back.any():
+    restored = e * compression
+    if not restored.any():
         return compression, 1.0
     after = approach + response.A.dot(compression)
 
     def impulses(share: float) -> Array | None:
         """None where there are none, or those that gain energy."""
         try:
-            p = compression + problem.pushing(after, speed, share * given_back)
+            p = compression + problem.pushing(after, speed, share * restored)
         except SolveError:
             return None
         work = float(p.dot(approach + 0.5 * response.A.dot(p)))

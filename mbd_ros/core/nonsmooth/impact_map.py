@@ -62,7 +62,7 @@ class ImpactMap:
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
     def impact(self, x: State, touching: Sequence[int], *, expands: bool = True) -> Impact:
-        """The velocity after an impact, and its impulses; none where nothing approaches.
+        """Return the velocity after an impact, and its impulses; none where nothing approaches.
 
         Args:
             x: State of all joints before it.
@@ -81,14 +81,14 @@ class ImpactMap:
             hold, goal = self._rigid.jacobian(x.t, x.q), -self._rigid.rate(x.t, x.q)
             factor = self._rigid.factorise(M, hold)
         response = ImpulseResponse(M, J, hold, factor)
-        v, held = response.kept(x.v, goal)
+        v, bilateral_impulse = response.constrain(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
         e = self._restitution[slots] if expands else np.zeros(len(slots))
         impulse, share = self._impulses(slots, response, cones, e, approach, speed)
-        held = held + response.bilateral(impulse)
+        bilateral_impulse = bilateral_impulse + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
-        p[slots], p[self._bilateral] = impulse, held
-        return Impact(x.v + response.free(impulse.dot(J) + held.dot(hold)), p, share)
+        p[slots], p[self._bilateral] = impulse, bilateral_impulse
+        return Impact(x.v + response.free(impulse.dot(J) + bilateral_impulse.dot(hold)), p, share)
 
     def _impulses(
         self,
@@ -108,8 +108,8 @@ class ImpactMap:
         G = response.G
         pushing = PushImpulses(G, response.loose, names)
         impulse = pushing.solve(approach, speed)
-        if (given_back := e * impulse).any():
-            impulse = impulse + given_back
+        if (restored := e * impulse).any():
+            impulse = impulse + restored
             impulse += pushing.solve(approach + G.T.dot(G.dot(impulse)), speed)
         return impulse, 1.0
 

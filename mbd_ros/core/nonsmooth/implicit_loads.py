@@ -1,6 +1,6 @@
 """Loads and internal states in a step that solves for them with their slopes.
 
-    M dv = h f + J' p,   dz = h r,   f and r at shares s / h of dv, dz and of the way on the step
+    M dv = h f + J' p,   dz = h r,   f and r at shares s / h of the step
 
 With f' = s f_v + s^2 f_q and r' = s r_v + s^2 r_q one step of Newton's method gives
 
@@ -11,6 +11,7 @@ so that neither stiff loads nor stiff internal states limit a step.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,29 +52,28 @@ class ImplicitLoads:
         self._nv = chart.nv
         self.nv = chart.nv + internals.nz
         self.upper = np.concatenate((np.full(chart.nv, np.inf), internals.upper))
-        self._loads: Loads = mechanism.loads
-        self._of = Linearization(self, self._write)
+        self._linearization = Linearization(self)
         n = chart.nv
         self._none = Slopes(np.zeros((n, n)), np.zeros((n, 0)), np.eye(0), np.zeros((0, n)))
 
     def expand(self, x: State) -> State:
-        """The same state: all joints are their own coordinates."""
+        """Return the same state: all joints are their own coordinates."""
         return x
 
     def force(self, x: State, u: Array | None) -> Array:
-        """Generalized force tau - h at a state of all joints, shape (nv,)."""
+        """Return the generalized force tau - h at a state of all joints, shape (nv,)."""
         mechanism = self._mechanism
-        mechanism.z = self._internals.inside(x.z)
-        return mechanism.tau(x.t, x.q, x.v, u) - mechanism.bias(x.q, x.v)
+        inside = x._replace(z=self._internals.inside(x.z))
+        return mechanism.tau(inside, u) - mechanism.bias(x.q, x.v)
 
     def rates(self, x: State, u: Array | None) -> Array:
-        """Rates of the internal states there, shape (nz,)."""
+        """Return rates of the internal states there, shape (nz,)."""
         k, loads, internals = self._mechanism.k, self._mechanism.loads, self._internals
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x._replace(z=internals.inside(x.z)), loads.inputs(x, u))
 
     def slopes(self, x: State, u: Array | None, s: float) -> Slopes:
-        """The matrices of a step at a state of all joints.
+        """Return the matrices of a step at a state of all joints.
 
         Args:
             u: Inputs, as for `Loads.total`.
@@ -84,17 +84,20 @@ class ImplicitLoads:
             return self._none
         z = self._internals.inside(x.z)
         k.refresh(x.q, x.v, loads.reads)
-        self._loads = loads.beside(k, x._replace(z=z))
+        field = partial(self._write, loads.beside(k, x._replace(z=z)))
         q, v = np.concatenate((x.q, 0.0 * z)), np.concatenate((x.v, z))
-        self._of.update(x.t, q, v, u)
-        of = s * self._of.damping + s * s * self._of.stiffness
-        gain = np.asarray(np.linalg.inv(np.eye(len(z)) - of[n:, n:]), dtype=np.float64)
-        push = of[:n, n:].dot(gain)
-        whole = of[:n, :n] + push.dot(of[n:, :n])
-        return Slopes(-0.5 * (whole + whole.T), push, gain, gain.dot(of[n:, :n]))
+        stiffness, damping = self._linearization.slopes(field, x.t, q, v, u)
+        slopes = s * damping + s * s * stiffness
+        gain = np.asarray(np.linalg.inv(np.eye(len(z)) - slopes[n:, n:]), dtype=np.float64)
+        push = slopes[:n, n:].dot(gain)
+        by_motion = slopes[:n, :n] + push.dot(slopes[n:, :n])
+        added = -0.5 * (by_motion + by_motion.T)
+        return Slopes(added, push, gain, gain.dot(slopes[n:, :n]))
 
-    def _write(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        n, loads, k = self._nv, self._loads, self._mechanism.k
+    def _write(
+        self, loads: Loads, t: float, q: Array, v: Array, u: Array | None, out: Array
+    ) -> None:
+        n, k = self._nv, self._mechanism.k
         x = State(t, q[: self._nq], v[:n], v[n:])
         k.refresh(x.q, x.v, max(loads.reads, self._internals.reads))
         out[:n] = loads.total(k, x, u)
@@ -119,16 +122,16 @@ class Slopes(NamedTuple):
 
 
 def mass_with(M: Array, added: Array) -> Array:
-    """M + added where that is positive definite, else without what makes it less than M.
+    """Return M + added where that is positive definite, else without what makes it less than M.
 
     Such a load makes motion grow: it is left to explicit steps.
     """
-    whole: Array = M + added
+    effective_mass: Array = M + added
     try:
-        np.linalg.cholesky(whole)
+        np.linalg.cholesky(effective_mass)
     except np.linalg.LinAlgError:
         L = np.linalg.cholesky(M)
         sizes, ways = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, added).T))
         ways = L.dot(ways)
-        whole = M + (ways * np.maximum(sizes, 0.0)).dot(ways.T)
-    return whole
+        effective_mass = M + (ways * np.maximum(sizes, 0.0)).dot(ways.T)
+    return effective_mass

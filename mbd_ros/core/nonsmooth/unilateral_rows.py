@@ -4,13 +4,13 @@
 
     w = J v+ + offset,   v+ = free + K^-1 J' p
 
-at the end of the step, and impulses p that push or stay within h times their bounds. A one-sided
-row acts where its gap would close: with constant accelerations it goes
+at the end of the step, and impulses p that push or stay within h times their bounds. A unilateral
+row is active where its gap would close: with constant accelerations it ends at
 
     gap + h ((1 - theta) rate + theta w)
 
-and a row that acts may keep the rate that its gap leaves. `UnilateralSolver` solves for the
-impulses; contacts with friction have a solver of their own, in `contact_step`.
+and an active row may keep the rate that its remaining gap allows. `UnilateralSolver` solves for
+the impulses; `contact_step` solves for contacts with friction.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class StepProblem(NamedTuple):
         x: State of all joints at its intermediate time, with the velocity of the start.
         M: Their mass matrix there.
         response: To impulses of the rows that give way.
-        acting: Which rows these are.
+        row_set: Which rows these are.
         J: Their Jacobian, shape (m, nv).
         gap: Their g at the start of the step, shape (m,).
         rate: Their g' with the velocity of the start, shape (m,).
         offset: Their g' at the end of the step, without J v, shape (m,).
         bend: What of that comes from the change of J, shape (m,).
         goal: J v of the bilateral rows at the end of the step.
-        free: Velocity at the end without rows that give way, shape (nv,).
+        free: Velocity at the end without unilateral and bounded rows, shape (nv,).
         h: Length of the step [s].
         theta: Share of the velocity at its end in the mean one.
         slopes: Of loads and internal states.
@@ -58,7 +58,7 @@ class StepProblem(NamedTuple):
     x: State
     M: Array
     response: ImpulseResponse
-    acting: Acting
+    row_set: RowSet
     J: Array
     gap: Array
     rate: Array
@@ -72,7 +72,7 @@ class StepProblem(NamedTuple):
     dz_still: Array
 
     def dz(self, end: Array) -> Array:
-        """Increment of internal states with a velocity at the end, shape (nz,)."""
+        """Return the increment of internal states with a velocity at the end, shape (nz,)."""
         increment: Array = self.dz_still + self.slopes.by_v.dot(end)
         return increment
 
@@ -83,17 +83,17 @@ class StepProblem(NamedTuple):
 
     @property
     def at_end(self) -> Array:
-        """The g' at the end of the step without rows that give way, shape (m,)."""
+        """The g' at the end of the step without unilateral and bounded rows, shape (m,)."""
         return self.J.dot(self.free) + self.offset
 
     def closed(self) -> Which:
-        """One-sided rows that would be closed at the end of the step."""
+        """Return the unilateral rows that would be closed at the end of the step."""
         if not len(self.gap):
-            return self.acting.pushes
-        return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
+            return self.row_set.pushes
+        return self.row_set.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
 
     def hits(self, closed: Which) -> Which:
-        """Closed rows that approach faster than the forces of one step make them."""
+        """Return closed rows that approach faster than the forces of one step make them."""
         if not len(closed):
             return closed
         if not (closed & (self.rate < 0.0)).any():
@@ -104,43 +104,44 @@ class StepProblem(NamedTuple):
         return closed & (-self.rate > np.maximum(gained, slow))
 
     def passed(self, end: Array) -> Which:
-        """One-sided rows that a velocity at the end of the step would take beyond 0."""
+        """Return the unilateral rows whose gaps a velocity at the end would make negative."""
         left = self.left + self.h * self.theta * (self.J.dot(end) + self.offset)
-        return self.acting.pushes & (left < -self.h * self.slight(self.free))
+        return self.row_set.pushes & (left < -self.h * self.slight(self.free))
 
-    def asked(self, on: NDArray[np.intp], free: Array) -> Array:
-        """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
+    def required_rates(self, on: NDArray[np.intp], free: Array) -> Array:
+        """Return g' of some rows at the end of the step, less what they may keep, shape (k,).
 
         Args:
+            on: Numbers of the rows, shape (k,).
             free: Velocity at the end without rows that give way.
         """
         return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
 
     def speed(self, v: Array) -> float:
-        """A velocity in the mass metric."""
+        """Return a velocity in the mass metric."""
         return max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
 
     def slight(self, v: Array) -> Array:
-        """Rates of the rows that are none beside a velocity, shape (m,)."""
+        """Return rates of the rows that are none beside a velocity, shape (m,)."""
         none: Array = _SLIGHT * self.speed(v) * np.sqrt(np.maximum(self.response.loose, 0.0))
         return none
 
     def rates_left(self, on: NDArray[np.intp]) -> Array:
-        """The g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
+        """Return g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
         room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
-        return np.where(self.acting.pushes[on], room, 0.0)
+        return np.where(self.row_set.pushes[on], room, 0.0)
 
 
 class UnilateralSolver:
     """One complementarity problem a step for all rows that give way.
 
     Args:
-        rows: The rows; their bounds are those of the state that was last asked for.
+        rows: The rows, with the bounds of their last state.
 
     Attributes:
-        last: What the next problem begins with; empty where it begins with nothing.
-        shared: Which rows `last` is of and what their A was, if it is of least norm; else empty.
-        worst: The largest residuals of contacts since `forget`; None without contacts.
+        last: Impulses with which the next problem begins; empty for none.
+        shared: The rows of `last` and their matrix A, if `last` has the least norm; else empty.
+        worst: The largest residuals of contacts since `reset_residuals`; None without contacts.
         forces: Mean forces of contacts in the last step; None without contacts.
     """
 
@@ -151,28 +152,28 @@ class UnilateralSolver:
         self.worst: Any = None
         self.forces: Array | None = None
 
-    def forget(self) -> None:
-        """Begin to look for the largest residuals anew."""
+    def reset_residuals(self) -> None:
+        """Set the largest residuals to 0."""
 
     def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
-        """Tangents of contacts whose slips end within the step; without contacts None."""
+        """Return tangents of contacts whose slips end within the step; without contacts None."""
         return None
 
     def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
-        """When the first of some slips ends [s]."""
+        """Return when the first of some slips ends [s]."""
         return 0.0
 
     def accept(self) -> None:
-        """Go on from the step that `early_slips` looked at."""
+        """Accept the step that `early_slips` has searched."""
 
-    def way_correction(self, problem: StepProblem, end: Array) -> Array | None:
-        """What is taken from the way of the step [m, rad], shape (nv,); without contacts None."""
+    def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
+        """Return the correction of the displacement [m, rad]; None without contacts."""
         return None
 
-    def end(
+    def solve(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
-        """Velocity at the end of the step, from that without rows that give way.
+        """Return the velocity at the end of the step, from that without rows that give way.
 
         Args:
             closed: One-sided rows that may push.
@@ -181,40 +182,40 @@ class UnilateralSolver:
         """
         if not len(closed):
             return free + 0.0
-        return self.pushed(problem, closed, free, near)
+        return self.solve_active(problem, closed, free, near)
 
-    def pushed(
+    def solve_active(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
         """Velocity at the end of the step if no other rows push; arguments as for `end`."""
-        on = np.flatnonzero((closed | ~problem.acting.pushes)[problem.acting.decides])
+        on = np.flatnonzero((closed | ~problem.row_set.pushes)[problem.row_set.decides])
         return free + self._change(problem, on, free)
 
     def _change(self, problem: StepProblem, on: NDArray[np.intp], free: Array) -> Array:
-        """What the impulses of some rows add to a velocity.
+        """Return what the impulses of some rows add to a velocity.
 
         Args:
             free: The velocity without them.
         """
         if not len(on):
             return np.zeros(len(free))
-        response, acting = problem.response, problem.acting
-        of = response.A[np.ix_(on, on)], response.loose[on], [acting.names[i] for i in on]
-        b, speed = problem.asked(on, free), problem.speed(free)
-        if acting.pushes[on].all():
+        response, row_set = problem.response, problem.row_set
+        of = response.A[np.ix_(on, on)], response.loose[on], [row_set.names[i] for i in on]
+        b, speed = problem.required_rates(on, free), problem.speed(free)
+        if row_set.pushes[on].all():
             p = PushImpulses(response.G[:, on], *of[1:]).solve(b, speed)
         else:
-            p = BoundedImpulses(*of).solve(b, *self._bounds(problem, acting.at[on]), speed)
+            p = BoundedImpulses(*of).solve(b, *self._bounds(problem, row_set.at[on]), speed)
         change: Array = response.X[:, on].dot(p)
         return change
 
     def _bounds(self, problem: StepProblem, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Smallest and largest impulses of rows in a step."""
+        """Return the smallest and largest impulses of rows in a step."""
         return problem.h * self._rows.lower[at], problem.h * self._rows.upper[at]
 
 
 class StepRows:
-    """All rows that give way, in every step.
+    """All unilateral and bounded rows, in every step.
 
     Attributes:
         every: All of them.
@@ -224,27 +225,27 @@ class StepRows:
     def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
         self._k = mechanism.k
         self.rows = rows
-        self.every = every(rows)
-        self.are_one_sided = bool(self.every.pushes.any())
+        self.all_rows = all_rows(rows)
+        self.are_one_sided = bool(self.all_rows.pushes.any())
         self._of_g, self._of_J = (
             min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
         )
 
-    def turning(self, v: Array) -> float:
-        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+    def turn_rate(self, v: Array) -> float:
+        """Return the angular speed of bodies beside contacts for a velocity of all joints."""
         return 0.0
 
-    def begin(self, q: Array) -> None:
-        """Learn from which configuration of what is integrated a step starts."""
+    def start_from(self, q: Array) -> None:
+        """Take note of the configuration from which a step starts."""
 
-    def moved(self, q: Array, way: Array) -> None:
-        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
+    def record_displacement(self, q: Array, displacement: Array) -> None:
+        """Take note of a displacement of all joints, shape (nv,), and where it leads."""
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
-        """The rows at a state of all joints, with bounds that are those of it.
+        """Return the rows at a state of all joints, with bounds that are those of it.
 
         Args:
-            x: The state, on the way of a step.
+            x: The state, within a step.
             free: Velocity at its end without the rows, shape (nv,).
             h: Its length [s].
         """
@@ -253,29 +254,29 @@ class StepRows:
         if rows.varies:
             rows.limit(k, x)
         J, drift = (each.copy() for each in rows.accelerations(k, x))
-        return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
+        return RowsAt(self.all_rows, J, drift, rows.residual(k, x), rows.rate(k, x))
 
     def gaps(self, x: State) -> Array | None:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+        """Return g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
 
         Returns:
             None where no row may be beyond 0.
         """
         self._k.refresh(x.q, x.v, self._of_g)
-        return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
+        return np.where(self.all_rows.pushes, self.rows.residual(self._k, x), np.inf)
 
-    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
-        """How impulses of the rows move the joints.
+    def response(self, without_rows: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """Return how impulses of the rows move the joints.
 
         Args:
             held: What moves them, for other rows.
             K: Its mass matrix, shape (nv, nv).
             J: The rows, shape (m, nv).
         """
-        return held.of(J)
+        return without_rows.of(J)
 
     def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
-        """Some rows of dg/dq at a state of all joints."""
+        """Return some rows of dg/dq at a state of all joints."""
         self._k.refresh(x.q, x.v, self._of_J)
         return self.rows.jacobian(self._k, x)[on]
 
@@ -284,28 +285,29 @@ class RowsAt(NamedTuple):
     """Rows at one state.
 
     Attributes:
-        acting: Which they are.
+        row_set: The set of the rows.
         J: Their Jacobian, shape (m, nv).
         drift: Their J' v, shape (m,).
         gap: Their g, shape (m,).
         own: Their g' without J v, shape (m,).
     """
 
-    acting: Acting
+    row_set: RowSet
     J: Array
     drift: Array
     gap: Array
     own: Array
 
 
-class Acting(NamedTuple):
-    """Rows that may act in a step.
+class RowSet(NamedTuple):
+    """A set of rows that may be active in a step.
 
     Attributes:
-        at: Where they stand among all rows that give way, shape (m,).
+        at: Numbers among all unilateral and bounded rows, shape (m,).
         names: One a row.
-        pushes: Which are one-sided, normals of contacts among them, shape (m,).
-        decides: Which row says whether it acts: of a contact its normal, else itself.
+        pushes: Which are unilateral, normals of contacts among them, shape (m,).
+        decides: The row that decides whether a row is active: the normal of a contact, else the
+            row itself.
         cones: The contacts, their slots counted here.
         tangents: Their rows along tangents, shape (2 n,).
     """
@@ -317,8 +319,8 @@ class Acting(NamedTuple):
     cones: tuple[Cone, ...]
     tangents: NDArray[np.intp]
 
-    def chosen(self, on: NDArray[np.intp]) -> Acting:
-        """Some of them; of a contact all rows or none.
+    def chosen(self, on: NDArray[np.intp]) -> RowSet:
+        """Return some of them; of a contact all rows or none.
 
         Args:
             on: Their places here, in the order that is wanted.
@@ -328,24 +330,24 @@ class Acting(NamedTuple):
         starts = [(cone, int(own[cone.slots.start])) for cone in self.cones]
         cones = (c._replace(slots=slice(start, start + 3)) for c, start in starts if start >= 0)
         names = [self.names[i] for i in on.tolist()]
-        return _acting(self.at[on], names, self.pushes[on], tuple(cones))
+        return _row_set(self.at[on], names, self.pushes[on], tuple(cones))
 
 
-def _acting(
+def _row_set(
     at: NDArray[np.intp], names: list[str], pushes: Which, cones: tuple[Cone, ...]
-) -> Acting:
+) -> RowSet:
     decides = np.arange(len(at))
     for cone in cones:
         decides[cone.slots] = cone.slots.start
     tangents = np.flatnonzero(decides != np.arange(len(at)))
-    return Acting(at, names, pushes, decides, cones, tangents)
+    return RowSet(at, names, pushes, decides, cones, tangents)
 
 
-def every(rows: ConstraintRows) -> Acting:
-    """All rows that give way."""
+def all_rows(rows: ConstraintRows) -> RowSet:
+    """Return all rows that give way."""
     pushes = np.zeros(len(rows.rows), dtype=np.bool_)
     for block, mine in zip(rows.blocks, rows.slices, strict=True):
         pushes[mine] = block.law.kind is Kind.UNILATERAL
     for cone in rows.cones:
         pushes[cone.slots.start] = True
-    return _acting(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)
+    return _row_set(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)

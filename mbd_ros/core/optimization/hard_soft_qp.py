@@ -1,14 +1,15 @@
-"""The smallest vector within hard and soft limits; soft ones give way where not all can be kept.
+"""Minimum-norm vectors within hard and soft limits, for tracking control.
 
     min 1/2 |y|²   subject to   lower <= G y <= upper
 
-The first n rows of G, a regular matrix, are hard. Where the soft rows cannot be kept beside them,
-their excess is the least possible: sum (excess / |row|)² first, |y|² among what attains it.
-`controllers/qp_tracking` asks it: drives have hard limits, motion of joints has soft ones.
+The first n rows of G, a regular matrix, are hard. If the soft limits cannot all be satisfied, the
+sum of (excess / |row|)² is minimised first, and then |y|². In the controller `qp_tracking`, the
+limits of drives are hard and those of joint motion are soft.
 
-`candidate` is the exact optimum on given acting limits: the hard rows first, then the least excess
-of the soft rows, then the smallest y, by ranks. `HardSoftQp` finds which limits act.
-Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on that order.
+`candidate` is the exact optimum for a given active set, in this order: the hard rows, the smallest
+excess of the soft rows, the smallest y. `HardSoftQp` finds the active set.
+
+Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014).
 """
 
 from __future__ import annotations
@@ -20,32 +21,32 @@ import eigenpy
 import numpy as np
 
 from mbd_ros.core.optimization.box_qp import Sides, on_independent, passed, pseudo_inverse
-from mbd_ros.core.optimization.qp_solvers import KeptProxQp, counted
+from mbd_ros.core.optimization.qp_solvers import WarmProxQp, counted
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
 
 _NO_EXCESS = 1.0e-10  # of the largest gap
 _COMPLIANCE = 1.0e-6  # of a soft row of length one
-_ACTS = 1.0e-7  # multiplier of a limit that acts; the largest gap is 1
+_ACTS = 1.0e-7  # smallest multiplier of an active limit, for a largest gap of 1
 _AT_LIMIT = 1.0e-9  # of the largest gap
-_CHANGES = 4  # of the acting limits on one rung
+_CHANGES = 4  # changes of the active set per guess
 COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
 _EVENTS = 60  # for each compliance
-_PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
+_PULLS = 1.0e-9  # of the largest gradient: multipliers below count as zero
 _EXCHANGES = 30
-_KEPT = 1.0e-10  # what a row may be beyond its bound, of its size
-_PUSHES = 1.0e-12  # multipliers of that size are none, of the largest
+_KEPT = 1.0e-10  # relative tolerance of bounds
+_PUSHES = 1.0e-12  # of the largest multiplier: multipliers below count as zero
 
 
 class HardSoftQp:
-    """Solves the problem above; an answer is exact on its acting limits, and checked.
+    """Solver of the problem above; solutions are exact on their active set, and checked.
 
-    A ladder finds the limits that act: first come those that acted twice before, then those of
-    a kept ProxQP whose soft rows yield a little, of the same from nothing, and of a descent in
-    the box of the hard rows. On these rungs the conditions of the optimum are recomputed, and
-    limits are exchanged where they do not hold. The last rung takes the answer of the descent,
-    whose excess is nearly the least.
+    Guesses of the active set are tried in this order: the set that was active twice before; the
+    set of a warm-started ProxQP with slightly compliant soft rows; the same with a cold start; and
+    that of a descent in the box of the hard rows. For each guess the optimality conditions are
+    recomputed, and limits that violate them are exchanged. As a last resort, the result of the
+    descent is used, whose excess is nearly minimal.
 
     Args:
         n: Size of y, and number of hard rows.
@@ -59,7 +60,7 @@ class HardSoftQp:
         self.counts = Counts()
         size = n + soft
         self._n = n
-        self._qp = KeptProxQp(size, soft)
+        self._qp = WarmProxQp(size, soft)
         self._H = np.zeros((size, size))
         self._g = np.zeros(size)
         self._C = np.zeros((soft, size))
@@ -71,15 +72,15 @@ class HardSoftQp:
         self._is_steady = False  # whether the same limits acted twice
 
     def solve(self, G: Array, lower: Array, upper: Array) -> Candidate:
-        """The optimum.
+        """Return the optimum.
 
         Args:
             G: Rows, shape (n + soft, n).
-            lower: Shape (n + soft,), -inf without a limit.
-            upper: Same, >= lower.
+            lower: Lower limits, shape (n + soft,), -inf for none.
+            upper: Upper limits, >= lower, shape (n + soft,), inf for none.
 
         Raises:
-            SolveError: Input that is not finite, lower > upper, or hard rows that are singular.
+            SolveError: The input is not finite, lower > upper, or the hard rows are singular.
         """
         if not (np.isfinite(G).all() and (lower <= upper).all()):
             raise SolveError("QP refused: a row is not finite, or lower > upper")
@@ -87,18 +88,18 @@ class HardSoftQp:
         G, lower, upper = self._scaled(G, lower, upper)
         size = max(float(lower.max()), float(-upper.min()), TINY)
         try:
-            found = self._exact(G, lower, upper, size) or self._damped(G, lower, upper, size)
+            solution = self._exact(G, lower, upper, size) or self._damped(G, lower, upper, size)
         except np.linalg.LinAlgError as error:
             self.counts = counted(self.counts, "failed")
             raise SolveError(f"QP not solved: {error}") from error
-        if found.is_softened:
+        if solution.is_softened:
             self.counts = counted(self.counts, "softened")
-        self._is_steady = bool((found.side == self._side).all())
-        self._side = found.side
-        return found
+        self._is_steady = bool((solution.side == self._side).all())
+        self._side = solution.side
+        return solution
 
     def _scaled(self, G: Array, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
-        """Rows of length one; those that nothing moves have no limit."""
+        """Scale rows to length one, and remove the limits of rows that y cannot move."""
         length = np.sqrt((G * G).sum(axis=1))
         soft = length[self._n :]
         scale = 1.0 / np.maximum(length, TINY)
@@ -109,9 +110,9 @@ class HardSoftQp:
 
     def _exact(self, G: Array, lower: Array, upper: Array, size: float) -> Candidate | None:
         if self._is_steady:
-            found = candidate(G, lower, upper, self._side, self._n, size)
-            if found.is_optimal:
-                return found
+            solution = candidate(G, lower, upper, self._side, self._n, size)
+            if solution.is_optimal:
+                return solution
         E: Any = np.linalg.inv(G[: self._n])
         C = G[self._n :].dot(E)
         for rung in ("qp", "cold", "boxed"):
@@ -123,10 +124,10 @@ class HardSoftQp:
                 force = self._soft_forces(E, C, *scaled, cold=rung == "cold")
                 side = np.where(np.abs(force) > _ACTS, np.sign(force), 0.0).astype(np.int8)
             for _ in range(_CHANGES):
-                found = candidate(G, lower, upper, side, self._n, size)
-                if found.is_optimal:
-                    return found
-                side = found.side
+                solution = candidate(G, lower, upper, side, self._n, size)
+                if solution.is_optimal:
+                    return solution
+                side = solution.side
         return None
 
     def _soft_forces(self, E: Array, C: Array, lower: Array, upper: Array, *, cold: bool) -> Array:
@@ -175,29 +176,30 @@ class Counts(NamedTuple):
 def candidate(
     G: Array, lower: Array, upper: Array, side: Sides, hard: int, size: float
 ) -> Candidate:
-    """The smallest y on the limits that act.
+    """Return the smallest y for a guess of the active set.
 
     Args:
         G: Rows of length one, the hard ones first, shape (m, n).
-        lower: Shape (m,).
-        side: Limits that act, shape (m,).
+        lower: Lower limits, shape (m,).
+        upper: Upper limits, shape (m,).
+        side: Guess: 1 for a lower limit, -1 for an upper one, 0 for inactive, shape (m,).
         hard: Number of hard rows.
-        size: The largest gap at y = 0.
+        size: Largest gap at y = 0.
     """
     bound = np.where(side > 0, lower, upper)
     side = np.where(np.isfinite(bound), side, 0).astype(np.int8)
-    acting = side.nonzero()[0]
-    rows, signs, bound = G[acting], side[acting], bound[acting]
-    found = on_independent(rows, bound)
+    active = side.nonzero()[0]
+    rows, signs, bound = G[active], side[active], bound[active]
+    solution = on_independent(rows, bound)
     is_softened = False
-    if found is None:
-        first = int(np.searchsorted(acting, hard))
+    if solution is None:
+        first = int(np.searchsorted(active, hard))
         y, force, is_softened = _on_dependent(rows, bound, first, size)
     else:
-        y, force = found
+        y, force = solution
     after, reached, slack = side.copy(), G.dot(y), CLOSED_GAP * size
-    pulls = (force * signs < 0.0) & (lower[acting] < upper[acting])
-    after[acting[pulls]] = 0
+    pulls = (force * signs < 0.0) & (lower[active] < upper[active])
+    after[active[pulls]] = 0
     idle = side == 0
     after[idle] = passed(reached, lower, upper, slack)[idle]
     is_optimal = bool((after == side).all() and np.isfinite(y).all())
@@ -205,11 +207,12 @@ def candidate(
 
 
 def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Array, Array, bool]:
-    """The smallest y of those with the least |soft rows y - bound| of those on the hard rows.
+    """Return the smallest y of minimal excess of the soft rows among those on the hard rows.
 
-    The second result has the sign of the multiplier of each row. The multipliers of the least
-    excess decide it; where they leave a row idle, those of the least |y| do. The third result
-    says whether there is an excess.
+    Returns:
+        The y; numbers with the signs of the multipliers of all rows, which are those of the
+        minimal excess or, where these vanish, those of the minimal |y|; and whether there is an
+        excess.
     """
     H, S = rows[:hard], rows[hard:]
     onto_hard = pseudo_inverse(H)
@@ -217,8 +220,8 @@ def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Ar
     y = y + pseudo_inverse(S - S.dot(onto_hard).dot(H)).dot(bound[hard:] - S.dot(y))
     excess = bound[hard:] - S.dot(y)
     excess = np.where(np.abs(excess) > _NO_EXCESS * size, excess, 0.0)
-    held = -onto_hard.T.dot(excess.dot(S))
-    force = np.concatenate([held, excess])
+    hard_force = -onto_hard.T.dot(excess.dot(S))
+    force = np.concatenate([hard_force, excess])
     force = np.where(np.abs(force) > _NO_EXCESS * size, force, 0.0)
     idle = force == 0.0
     if idle.any():
@@ -231,7 +234,7 @@ def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Ar
 
 
 def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Sides, bool]:
-    """The y where stiff soft rows yield, its limits, and whether it passes one; hard rows hold."""
+    """Return y for stiff soft rows, its active limits, and whether a soft limit is exceeded."""
     n = G.shape[1]
     E: Any = np.linalg.inv(G[:n])
     rows = BoundedLeastSquares(E, G[n:].dot(E), lower[n:], upper[n:])
@@ -242,14 +245,14 @@ def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Si
 
 
 class Candidate(NamedTuple):
-    """What follows from the limits that are said to act.
+    """Solution for a guess of the active set.
 
     Attributes:
-        y: The optimum if they are the right ones, shape (n,).
-        side: Limits to try next: those that would pull have left, those that y passes have
-            joined; 1 for a lower limit, -1 for an upper one, else 0, shape (m,).
-        is_softened: Whether soft rows give way.
-        is_optimal: Whether no limit changed: y is the optimum.
+        y: The optimum if the guess is right, shape (n,).
+        side: Next guess, without limits of wrong sign and with those that y exceeds: 1 for a lower
+            limit, -1 for an upper one, 0 for an inactive one, shape (m,).
+        is_softened: Whether soft limits are exceeded.
+        is_optimal: Whether the guess is right, so that y is the optimum.
     """
 
     y: Array
@@ -259,19 +262,19 @@ class Candidate(NamedTuple):
 
 
 class BoundedLeastSquares:
-    """A least-squares problem in a box, with rows that yield: slow, but it always has an answer.
+    """Least-squares problem in a box with compliant rows: slow, but it always has a solution.
 
         min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
 
-    for compliances that fall to the last of `COMPLIANCES`. A primal active-set method goes from
-    one point of the box towards the least cost on the bounds that hold and the rows that are
-    passed, up to the first bound or limit.
+    It is solved for decreasing `COMPLIANCES` by a primal active-set method: each step goes from a
+    point of the box towards the minimum for the active bounds and exceeded rows, up to the first
+    bound or limit.
 
     Args:
-        E: Square, regular, shape (n, n).
-        C: Rows that yield, shape (k, n).
-        low: Their limits, shape (k,), -inf without one.
-        high: Same, inf without one.
+        E: Regular matrix, shape (n, n).
+        C: Compliant rows, shape (k, n).
+        low: Lower limits of these rows, shape (k,), -inf for none.
+        high: Upper limits of these rows, shape (k,), inf for none.
 
     Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
     """
@@ -284,7 +287,7 @@ class BoundedLeastSquares:
         self._all = np.concatenate([np.eye(len(E)), C])
 
     def solve(self, lower: Array, upper: Array) -> Array:
-        """The x of least cost in the box, or what is left of the way to it, shape (n,)."""
+        """Return the x of minimal cost in the box, or the last iterate, shape (n,)."""
         x = np.clip(np.zeros(len(lower)), lower, upper)
         for compliance in COMPLIANCES:
             x = self._descended(x, lower, upper, compliance**-0.5)
@@ -292,30 +295,30 @@ class BoundedLeastSquares:
 
     def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
         side = passed(self._C.dot(x), self._low, self._high)
-        held = (x <= lower) | (x >= upper)
+        is_fixed = (x <= lower) | (x >= upper)
         for _ in range(_EVENTS):
             r, A = self._residuals(x, side, stiffness)
-            step, free = np.zeros(len(x)), (~held).nonzero()[0]
+            step, free = np.zeros(len(x)), (~is_fixed).nonzero()[0]
             step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
             begin, end = self._pieces(side)
             moves, ends = self._all.dot(step), (np.append(lower, begin), np.append(upper, end))
-            share = _way(self._all.dot(x), moves, *ends)
+            share = _step_shares(self._all.dot(x), moves, *ends)
             first = int(share.argmin())
             x = np.clip(x + min(float(share[first]), 1.0) * step, lower, upper)
             if share[first] < 1.0:
                 i = first - len(x)
                 if i < 0:
-                    held[first] = True
+                    is_fixed[first] = True
                 else:
                     side[i] = 0 if side[i] else -np.sign(moves[first])
                 continue
             r, A = self._residuals(x, side, stiffness)
             slope = A.T.dot(r)
-            pull = np.where(held, np.where(x <= lower, -slope, slope), 0.0)
+            pull = np.where(is_fixed, np.where(x <= lower, -slope, slope), 0.0)
             pull[lower >= upper] = 0.0
             if pull.max() <= _PULLS * np.abs(slope).max():
                 break
-            held[pull.argmax()] = False
+            is_fixed[pull.argmax()] = False
         return x
 
     def _residuals(self, x: Array, side: Sides, stiffness: float) -> tuple[Array, Array]:
@@ -326,14 +329,14 @@ class BoundedLeastSquares:
         return np.concatenate([self._E.dot(x), stiffness * excess]), A
 
     def _pieces(self, side: Sides) -> tuple[Array, Array]:
-        """Where the quadratic that each row is on begins and ends."""
+        """Return the interval in which the current quadratic of each row is valid."""
         begin = np.where(side == 0, self._low, np.where(side < 0, self._high, -np.inf))
         end = np.where(side == 0, self._high, np.where(side > 0, self._low, np.inf))
         return begin, end
 
 
-def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
-    """Share of the step that each value may go, inf without an end."""
+def _step_shares(x: Array, step: Array, begin: Array, end: Array) -> Array:
+    """Return the fraction of the step up to the end of each value, inf without an end."""
     ahead = np.where(step > 0.0, end - x, begin - x)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(step == 0.0, np.inf, ahead / step)
@@ -341,33 +344,34 @@ def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
 
 
 class RowBoundedQp:
-    """A strictly convex quadratic program with bounded rows, exact on the active rows.
+    """Strictly convex quadratic program with bounded rows, solved exactly on its active rows.
 
         min 1/2 x' H x + g' x   subject to   lower <= C x <= upper
 
-    Rows and sizes may change from call to call. Most answers of an estimator violate no row, and
-    are then one solve. Otherwise a kept ProxQP finds the active rows; an answer is solved for on
-    them, and rows are exchanged until the conditions of the optimum hold. Source: J. Nocedal, S.
-    Wright, Numerical Optimization, 2006, ch. 16.
+    Rows and sizes may change from call to call. If the unconstrained optimum violates no row, as
+    in most problems of an estimator, it is the solution. Otherwise ProxQP finds the active rows,
+    and rows are exchanged until the optimality conditions hold.
+
+    Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, ch. 16.
     """
 
     def __init__(self) -> None:
-        self._solver: KeptProxQp | None = None
+        self._solver: WarmProxQp | None = None
         self._size = (0, 0)
         self._last: Sides | None = None
 
     def solve(self, H: Array, g: Array, C: Array, lower: Array, upper: Array) -> Optimum:
-        """The optimum.
+        """Return the optimum.
 
         Args:
-            H: Positive definite, shape (n, n).
-            g: Shape (n,).
-            C: Shape (m, n).
-            lower: Shape (m,), -inf without.
-            upper: Shape (m,), inf without.
+            H: Positive definite matrix, shape (n, n).
+            g: Linear term, shape (n,).
+            C: Rows, shape (m, n).
+            lower: Lower bounds of the rows, shape (m,), -inf for none.
+            upper: Upper bounds of the rows, shape (m,), inf for none.
 
         Raises:
-            SolveError: H is not positive definite, or no x keeps all rows.
+            SolveError: H is not positive definite, or the bounds contradict each other.
         """
         factor = eigenpy.LLT(H)
         if factor.info() != eigenpy.ComputationInfo.Success or (lower > upper).any():
@@ -378,20 +382,20 @@ class RowBoundedQp:
             self._last = None
             return Optimum(free, np.zeros(len(C)), 0.0)
         for sides in self._guesses(H, g, C, lower, upper):
-            found = self._exchanged(factor, free, C, lower, upper, sides, slack)
-            if found is not None:
-                return found
+            optimum = self._exchanged(factor, free, C, lower, upper, sides, slack)
+            if optimum is not None:
+                return optimum
         raise SolveError("the bounds of the quadratic program contradict one another")
 
     def _guesses(
         self, H: Array, g: Array, C: Array, lower: Array, upper: Array
     ) -> Iterator[Sides]:
-        """Rows that may act: those of the last answer, then those of ProxQP."""
+        """Yield guesses of the active rows: those of the last solution, then those of ProxQP."""
         if self._last is not None and len(self._last) == len(C):
             yield self._last
         n, m = H.shape[0], len(C)
         if self._solver is None or self._size != (n, m):
-            self._solver, self._size = KeptProxQp(n, m), (n, m)
+            self._solver, self._size = WarmProxQp(n, m), (n, m)
         none = np.full(n, np.inf)
         for cold in (False, True):
             x = self._solver.solve(H, g, -none, none, (C, lower, upper), cold=cold)
@@ -409,7 +413,7 @@ class RowBoundedQp:
         sides: Sides,
         slack: float,
     ) -> Optimum | None:
-        """The optimum from a guess of the rows that act; None where exchanges do not end."""
+        """Return the optimum from a guess of the active rows; None if exchanges do not end."""
         sides = sides.copy()
         for _ in range(_EXCHANGES):
             acts = sides.nonzero()[0]
@@ -435,12 +439,12 @@ class RowBoundedQp:
 
 
 class Optimum(NamedTuple):
-    """The answer of a quadratic program.
+    """Solution of a quadratic program.
 
     Attributes:
-        x: Where it is, shape (n,).
-        multipliers: Of the rows, positive at a lower bound, shape (m,).
-        residual: Largest violation of the conditions of the optimum, relative.
+        x: The minimiser, shape (n,).
+        multipliers: Multipliers of the rows, positive at a lower bound, shape (m,).
+        residual: Largest relative violation of the optimality conditions.
     """
 
     x: Array

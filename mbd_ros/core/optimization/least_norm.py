@@ -91,27 +91,27 @@ def least_in_bounds(
     return Least(_refined(z, every, lower, upper, slack) if is_within else z, is_within)
 
 
-def _nearest(z: Array, own: Array, later: Array, lower: Array, upper: Array) -> Least:
+def _nearest(z: Array, columns: Array, later: Array, lower: Array, upper: Array) -> Least:
     """The z + own w + later y within the bounds whose |w| is the least."""
-    n = own.shape[1]
+    n = columns.shape[1]
     limited = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     if not len(limited):
         return Least(z, True)
-    moves = np.concatenate((own, later / _LATER), axis=1)
+    moves = np.concatenate((columns, later / _LATER), axis=1)
     free = np.full(moves.shape[1], np.inf)
     G = np.concatenate((np.eye(len(free)), moves[limited]))
     w, tolerance = np.zeros(n), _ARRIVED * (1.0 + float(np.abs(z).max()))
     for _ in range(_STEPS):
         low = np.concatenate((-free, (lower - z)[limited]))
         high = np.concatenate((free, (upper - z)[limited]))
-        found = HardSoftQp(len(free), len(limited)).solve(G, low, high)
-        if found.is_softened:
-            return Least(z + moves.dot(found.y), False)
-        before, w = w, found.y[:n]
-        z_now = z + moves.dot(found.y)
+        solution = HardSoftQp(len(free), len(limited)).solve(G, low, high)
+        if solution.is_softened:
+            return Least(z + moves.dot(solution.y), False)
+        before, w = w, solution.y[:n]
+        z_now = z + moves.dot(solution.y)
         if not later.shape[1] or np.abs(w - before).max() <= tolerance:
             break
-        z = z + moves[:, n:].dot(found.y[n:])
+        z = z + moves[:, n:].dot(solution.y[n:])
     return Least(z_now, True)
 
 
@@ -278,34 +278,34 @@ def least_with_open(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> A
     rows, at = A.dot(N), c - A.dot(y)
     size = float(np.abs(y).max(initial=0.0))
     is_open = np.zeros(len(limits.cones), dtype=np.bool_)
-    found = y
+    solution = y
     for _ in range(len(is_open) + 1):
         closed = limits.cones[is_open].ravel()
         w = _least(rows, at, N[closed], -y[closed])
         if w is None:
             return None
-        found = y + N.dot(w)
-        excess = limits.excess(found) > _WITHIN * size
+        solution = y + N.dot(w)
+        excess = limits.excess(solution) > _WITHIN * size
         if not excess.any():
-            found[closed] = 0.0
-            return found if _is_priced(rows, at, w, N[closed], limits.mu[is_open]) else None
-        pulls = (found[limits.cones[:, 0]] < 0.0) & ~is_open
+            solution[closed] = 0.0
+            return solution if _is_priced(rows, at, w, N[closed], limits.mu[is_open]) else None
+        pulls = (solution[limits.cones[:, 0]] < 0.0) & ~is_open
         if not pulls.any():
             return None
         is_open |= pulls
     return None
 
 
-def _least(rows: Array, at: Array, held: Array, values: Array) -> Array | None:
+def _least(rows: Array, at: Array, equalities: Array, values: Array) -> Array | None:
     """The w of least |rows w - at| with held w = values; None where no w has that."""
-    if not len(held):
+    if not len(equalities):
         free: Any = np.linalg.lstsq(rows, at, rcond=SINGULAR**2)[0]
         return np.asarray(free)
-    U, s, Vt = np.linalg.svd(held)
+    U, s, Vt = np.linalg.svd(equalities)
     rank = int(np.count_nonzero(s > SINGULAR))
     w = Vt[:rank].T.dot(U[:, :rank].T.dot(values) / s[:rank])
     largest = float(np.abs(values).max(initial=0.0))
-    if np.abs(held.dot(w) - values).max(initial=0.0) > _WITHIN * largest:
+    if np.abs(equalities.dot(w) - values).max(initial=0.0) > _WITHIN * largest:
         return None
     Z = Vt[rank:].T
     if Z.shape[1]:
@@ -314,19 +314,19 @@ def _least(rows: Array, at: Array, held: Array, values: Array) -> Array | None:
     return np.asarray(w)
 
 
-def _is_priced(rows: Array, at: Array, w: Array, held: Array, mu: Array) -> bool:
+def _is_priced(rows: Array, at: Array, w: Array, equalities: Array, mu: Array) -> bool:
     """Whether every open contact would move apart."""
-    if not len(held):
+    if not len(equalities):
         return True
     gradient = rows.T.dot(rows.dot(w) - at)
-    prices: Any = np.linalg.lstsq(held.T, gradient, rcond=SINGULAR)[0]
+    prices: Any = np.linalg.lstsq(equalities.T, gradient, rcond=SINGULAR)[0]
     normal, one, two = prices.reshape(-1, 3).T
     least = -_PRICED * float(np.abs(prices).max())
     return bool((normal - mu * np.hypot(one, two) >= least).all())
 
 
 class Limits(NamedTuple):
-    """What a vector may be: between bounds, and in cones |y_t| <= mu y_n.
+    """The feasible set of a vector: bounds, and cones |y_t| <= mu y_n.
 
     Attributes:
         lower: Lower ends, shape (n,).
@@ -396,14 +396,14 @@ def least_balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
     U, s, Vt = np.linalg.svd(scaled)
     n = int(np.count_nonzero(s > redundant(len(b)) * s[0]))
     left, ahead, null = U[:, :n].T, Vt[:n].T / s[:n], Vt[n:]
-    found = ahead.dot(left.dot(right))
-    found -= ahead.dot(left.dot(scaled.dot(found) - right))  # what unequal masses leave
-    _check(scaled, found, right)
-    found *= -unit
+    solution = ahead.dot(left.dot(right))
+    solution -= ahead.dot(left.dot(scaled.dot(solution) - right))  # what unequal masses leave
+    _check(scaled, solution, right)
+    solution *= -unit
     if len(null) == 1:
         along = unit * null[0]
-        found -= along * (along.dot(found) / along.dot(along))
+        solution -= along * (along.dot(solution) / along.dot(along))
     elif len(null):
         same = np.linalg.qr((null * unit).T)[0]
-        found -= same.dot(same.T.dot(found))
-    return found, len(null) > 0
+        solution -= same.dot(same.T.dot(solution))
+    return solution, len(null) > 0

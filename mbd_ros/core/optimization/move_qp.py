@@ -135,39 +135,41 @@ class Metric(NamedTuple):
 
 
 class LimitForces:
-    """The mu of the problem above for any compliance, by exchange of limits or a QP in mu.
+    """Solver for the multipliers mu of the problem above, for any compliance.
 
-    Limits are exchanged all at once, beginning with those that acted last: limits that pull
-    leave, violated limits join.
+    It is a primal-dual active-set method that starts from the last active set: limits with a
+    multiplier of the wrong sign leave, violated limits join. If it does not converge, a QP in mu
+    is solved.
 
     Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
 
     Args:
         n: Number of joints.
-        bounded: Whether bounds may ever be finite; without, no QP solver is imported.
+        bounded: Whether bounds may be finite; otherwise no QP solver is imported.
 
     Attributes:
-        solves: Number of solves with a limit that acted.
+        solves: Number of solves with an active limit.
     """
 
     def __init__(self, n: int, bounded: bool) -> None:
         self._pushers = ComplementarityProblem(2 * n) if bounded else None
         self._identity = np.eye(n)
-        self._acting: Sides = np.zeros(n, dtype=np.int8)
+        self._active: Sides = np.zeros(n, dtype=np.int8)
         self.solves = 0
 
     @property
     def statistics(self) -> Statistics:
-        """How the QPs went."""
+        """Statistics of the QPs."""
         return Statistics() if self._pushers is None else self._pushers.statistics
 
     def solve(self, compliance: Compliance, p: Array, low: Array, high: Array) -> Array | None:
-        """The forces mu, shape (n,); None where p is within the bounds.
+        """Return the multipliers mu, shape (n,), or None if p is within the bounds.
 
         Args:
-            p: Move without bounds, shape (n,).
-            low: Smallest move, shape (n,).
-            high: Largest move, shape (n,).
+            compliance: Compliance of the joints.
+            p: Step without bounds, shape (n,).
+            low: Smallest step, shape (n,).
+            high: Largest step, shape (n,).
 
         Raises:
             SolveError: The bounds contradict the constraints, or something is not finite.
@@ -180,45 +182,45 @@ class LimitForces:
             A, gap, scale = _pushes(compliance, p, low, high)
             at_lower, at_upper = np.split(scale * self._pushers.solve(A, gap), 2)
             mu = at_lower - at_upper
-        self._acting = np.sign(mu).astype(np.int8)
+        self._active = np.sign(mu).astype(np.int8)
         return mu
 
     def _by_exchange(
         self, compliance: Compliance, p: Array, low: Array, high: Array
     ) -> Array | None:
-        """The mu if the exchange ends soon, with limits that do not depend on one another."""
-        acting = self._acting if self._acting.any() else passed(p, low, high)
+        """Return mu if exchanges converge soon with independent limits, otherwise None."""
+        active = self._active if self._active.any() else passed(p, low, high)
         for _ in range(_EXCHANGES):
-            bound = np.where(acting > 0, low, high)
-            rows = (np.isfinite(bound) & (acting != 0)).nonzero()[0]
+            bound = np.where(active > 0, low, high)
+            rows = (np.isfinite(bound) & (active != 0)).nonzero()[0]
             if not len(rows):
                 return None
             pushes, gap = self._identity[:, rows], bound[rows] - p[rows]
             moves = compliance.moves(pushes)
             force = factored(moves[rows], gap)
             moved, slack = p + moves.dot(force), CLOSED_GAP * float(np.abs(gap).max())
-            pulls = force * acting[rows] < 0.0
+            pulls = force * active[rows] < 0.0
             beyond = (moved < low - slack) | (moved > high + slack)
             if not (pulls.any() or beyond.any()):
                 closed = np.abs(moved[rows] - bound[rows]) <= slack
                 return pushes.dot(force) if closed.all() else None
-            acting = np.where(beyond, passed(moved, low, high), acting)
-            acting[rows[pulls]] = 0
+            active = np.where(beyond, passed(moved, low, high), active)
+            active[rows[pulls]] = 0
         return None
 
 
 class Compliance(Protocol):
-    """How joints answer forces."""
+    """Compliance C of the joints: steps per force."""
 
     def moves(self, forces: Array) -> Array:
-        """C times forces, one a column, shape (n, k)."""
+        """Return C times forces, one per column, shape (n, k)."""
 
     def mobility(self) -> Array:
-        """Moves per force of each joint if nothing constrained it, shape (n,)."""
+        """Return the steps per force of each joint without constraints, shape (n,)."""
 
 
 def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[Array, ...]:
-    """A and gap of forces >= 0 at each lower and each upper bound, scaled, and their scales."""
+    """Return scaled A and gap of forces >= 0 at lower and upper bounds, and the scales."""
     n = len(p)
     C, mobility = compliance.moves(np.eye(n)), np.tile(compliance.mobility(), 2)
     sides, gap = np.repeat([1.0, -1.0], n), np.concatenate([p - low, high - p])
@@ -229,16 +231,16 @@ def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[
 
 
 class ComplementarityProblem:
-    """The linear complementarity problem of bounds that may only push.
+    """Linear complementarity problem of unilateral bounds.
 
         w = A f + gap,   f >= 0,   w >= 0,   f' w = 0
 
-    A is positive semidefinite with ones on its diagonal, and singular where joints are coupled:
-    then two of their bounds may be one and the same. Every answer is exact on its active bounds,
-    and checked. Source: R. Cottle, J.-S. Pang, R. Stone, The Linear Complementarity Problem, 1992.
+    A is positive semidefinite with ones on its diagonal. It is singular if joints are coupled,
+    since then two of their bounds may coincide. Every solution is exact on its active bounds, and
+    checked. The last active set is tried first, then that of a QP. If the QP fails, or its damping
+    leads to a wrong set, bounds are exchanged one by one until all conditions hold.
 
-    The bounds that acted last are tried first. Otherwise a kept QP says which ones act. Where its
-    damping decided that, or where it fails, single bounds are exchanged until all conditions hold.
+    Source: R. Cottle, J.-S. Pang, R. Stone, The Linear Complementarity Problem, 1992.
 
     Args:
         n: Number of bounds.
@@ -249,22 +251,22 @@ class ComplementarityProblem:
         self._identity = np.eye(n)
         self._none = np.zeros(n)
         self._infinite = np.full(n, np.inf)
-        self._acting = np.zeros(n, dtype=np.bool_)
+        self._active = np.zeros(n, dtype=np.bool_)
 
     @property
     def statistics(self) -> Statistics:
-        """How the QPs went."""
+        """Statistics of the QPs."""
         return self._qp.statistics
 
     def solve(self, A: Array, gap: Array) -> Array:
-        """The forces, shape (n,), of smallest norm where bounds depend on one another.
+        """Return the forces, shape (n,), of minimum norm if bounds are redundant.
 
         Raises:
-            SolveError: There are none: the bounds contradict what A leaves movable.
+            SolveError: There is no solution: the bounds contradict the constraints.
         """
         if not (np.isfinite(A).all() and np.isfinite(gap).all()):
             raise SolveError("mobilities or distances to limits are not finite")
-        force = _closing(A, gap, self._acting)
+        force = _closing(A, gap, self._active)
         if not _holds(A, gap, force):
             guess = self._guess(A, gap)
             force = _closing(A, gap, guess > 0.0)
@@ -272,11 +274,11 @@ class ComplementarityProblem:
                 force = _exchanged(A, gap, guess)
             if not _holds(A, gap, force):
                 raise SolveError("the joint limits contradict the constraints")
-        self._acting = force > 0.0
+        self._active = force > 0.0
         return force
 
     def _guess(self, A: Array, gap: Array) -> Array:
-        """Forces >= 0 that tell which bounds may act; none where the QP finds none."""
+        """Return a guess of the forces >= 0 by the QP, or zeros if it fails."""
         try:
             damped = A + _DAMPING * self._identity
             return np.maximum(self._qp.solve(damped, gap, self._none, self._infinite), 0.0)
@@ -284,45 +286,45 @@ class ComplementarityProblem:
             return self._none
 
 
-def _closing(A: Array, gap: Array, acting: NDArray[np.bool_]) -> Array:
-    """Forces of smallest norm that close the gaps of the acting bounds."""
-    return on_active_set(A, gap, np.zeros(len(gap)), acting, least_norm)
+def _closing(A: Array, gap: Array, active: NDArray[np.bool_]) -> Array:
+    """Return the forces of minimum norm that close the gaps of the active bounds."""
+    return on_active_set(A, gap, np.zeros(len(gap)), active, least_norm)
 
 
 def _holds(A: Array, gap: Array, force: Array) -> bool:
-    """Whether no force pulls, no gap is negative, and every bound that pushes is closed."""
+    """Whether forces satisfy the complementarity conditions."""
     left, least = A.dot(force) + gap, _least(gap)
     is_open = (left > least) & (force > 0.0)
     return bool((left >= -least).all() and (force >= 0.0).all() and not is_open.any())
 
 
 def _least(gap: Array) -> Array:
-    """What may be left of each gap, or reach beyond it."""
+    """Return the tolerance of each gap."""
     return CLOSED_GAP * (np.abs(gap) - min(float(gap.min()), 0.0)) + _ROUNDING
 
 
 def _exchanged(A: Array, gap: Array, force: Array) -> Array:
-    """Bounds added and removed one at a time, from forces >= 0 on.
+    """Exchange bounds one at a time, starting from forces >= 0.
 
     Source: C. Lawson and R. Hanson, Solving Least Squares Problems, 1974, ch. 23.
     """
     slight, none = A + _SLIGHT * np.eye(len(A)), np.zeros(len(gap))
-    acting = force > 0.0
+    active = force > 0.0
     for _ in range(4 * len(gap)):
-        target = on_active_set(slight, gap, none, acting)
-        pulls = (acting & (target <= 0.0)).nonzero()[0]
+        target = on_active_set(slight, gap, none, active)
+        pulls = (active & (target <= 0.0)).nonzero()[0]
         if len(pulls):
             shares = force[pulls] / np.maximum(force[pulls] - target[pulls], _ROUNDING)
             force = force + shares.min() * (target - force)
-            acting[pulls[shares.argmin()]] = False
-            force = np.where(acting, np.maximum(force, 0.0), 0.0)
+            active[pulls[shares.argmin()]] = False
+            force = np.where(active, np.maximum(force, 0.0), 0.0)
             continue
         force = target
-        left = np.where(acting, 0.0, A.dot(force) + gap)
+        left = np.where(active, 0.0, A.dot(force) + gap)
         if (left >= -_least(gap)).all():
             break
-        acting[left.argmin()] = True
-    return _closing(A, gap, acting)
+        active[left.argmin()] = True
+    return _closing(A, gap, active)
 
 
 def row_weight(M: Array, J: Array) -> Array:

@@ -1,8 +1,10 @@
-"""A kept ProxQP, or any solver of qpsolvers; no other module imports a QP solver.
+"""QP solvers: ProxQP with warm starts, or any solver of qpsolvers.
 
     min 1/2 x' H x + g' x   subject to   low <= C x <= high,   lower <= x <= upper
 
-Nothing here judges an answer: every caller recomputes the conditions of its optimum.
+No other module imports a QP solver. Solutions are not checked here; every caller recomputes the
+optimality conditions.
+
 Source: A. Bambade et al., Robotics: Science and Systems (2022), doi:10.15607/RSS.2022.XVIII.040.
 """
 
@@ -20,13 +22,13 @@ _SETTINGS = {
     "max_iter": 40,
     "max_iter_in": 60,
 }
-_INFINITE = 1.0e20  # what ProxQP takes for no bound
+_INFINITE = 1.0e20  # ProxQP treats larger bounds as infinite
 _NO_ROWS = None, None, None
 Counts = TypeVar("Counts")
 
 
-class KeptProxQp:
-    """A ProxQP that stays, so that a solve starts from the result of the last one.
+class WarmProxQp:
+    """ProxQP solver that starts each solve from the result of the previous one.
 
     Args:
         n: Size of x.
@@ -43,47 +45,52 @@ class KeptProxQp:
             raise ModelError(f"solver qp: {install_hint('proxsuite')}") from error
         self._proxqp = proxqp
         self._size = (n, 0, rows)
-        self._kept: Any = None
+        self._qp: Any = None
 
     def solve(
         self, H: Array, g: Array, lower: Array, upper: Array, rows: Any = _NO_ROWS, *, cold: bool
     ) -> Array:
-        """The x that ProxQP ends with, whatever its status, fresh, shape (n,).
+        """Return the final x of ProxQP, whatever its status, a new array, shape (n,).
 
         Args:
-            H: Shape (n, n).
-            g: Shape (n,).
-            lower: Shape (n,), infinite without a bound.
+            H: Matrix of the cost, shape (n, n).
+            g: Linear term of the cost, shape (n,).
+            lower: Lower bounds, shape (n,), infinite for none.
+            upper: Upper bounds, shape (n,), infinite for none.
             rows: C, low and high.
-            cold: Whether to start from nothing instead of the previous result.
+            cold: Whether to ignore the previous result.
         """
         C, low, high = rows
         problem = H, g, None, None, C, *_clipped(low, high), *_clipped(lower, upper)
-        if not cold and self._kept is not None:
-            self._kept.update(*problem)
-            self._kept.solve()
+        if not cold and self._qp is not None:
+            self._qp.update(*problem)
+            self._qp.solve()
         else:
             guess = self._proxqp.InitialGuess
-            self._kept = kept = self._proxqp.dense.QP(*self._size, True)
+            qp = self._proxqp.dense.QP(*self._size, True)
+            self._qp = qp
             for name, value in _SETTINGS.items():
-                setattr(kept.settings, name, value)
-            kept.init(*problem)
-            kept.settings.initial_guess = guess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-            kept.solve()
-            kept.settings.initial_guess = guess.WARM_START_WITH_PREVIOUS_RESULT
-        return np.array(self._kept.results.x)
+                setattr(qp.settings, name, value)
+            qp.init(*problem)
+            qp.settings.initial_guess = guess.EQUALITY_CONSTRAINED_INITIAL_GUESS
+            qp.solve()
+            qp.settings.initial_guess = guess.WARM_START_WITH_PREVIOUS_RESULT
+        return np.array(self._qp.results.x)
 
     @property
     def multipliers(self) -> Array:
-        """Those of the last solve: of the rows, then of the bounds; < 0 at a lower one, fresh."""
-        return np.array(self._kept.results.z)
+        """Multipliers of the last solve: of rows, then of bounds, negative at lower bounds."""
+        return np.array(self._qp.results.z)
 
 
 class OtherSolver:
-    """A solver of qpsolvers, which starts anew every time.
+    """Solver of qpsolvers, without warm starts.
+
+    Args:
+        backend: Name of the solver.
 
     Raises:
-        ModelError: It is not installed.
+        ModelError: The solver is not installed.
     """
 
     def __init__(self, backend: str) -> None:
@@ -91,23 +98,23 @@ class OtherSolver:
         self._backend = backend
 
     def solve(self, H: Array, g: Array, lower: Array, upper: Array, *, cold: bool) -> Array:
-        """As `KeptProxQp.solve`; NaN without an answer."""
+        """Return x as `WarmProxQp.solve` does, NaN if the solver fails; `cold` has no effect."""
         import qpsolvers
 
         lower, upper = _clipped(lower, upper)
         problem = qpsolvers.Problem(H, g, lb=lower, ub=upper)
         try:
             x = qpsolvers.solve_problem(problem, solver=self._backend).x
-        except qpsolvers.ProblemError:  # a singular H, for one, which damping makes regular
+        except qpsolvers.ProblemError:  # such as a singular H, which damping makes regular
             x = None
         return np.full(len(g), np.nan) if x is None else x
 
 
 def check_backend(backend: str) -> None:
-    """Refuse a solver of QPs that is not there; proxqp is looked for when it is needed.
+    """Refuse a QP solver that is not installed; proxqp is checked when it is used.
 
     Raises:
-        ModelError: Lists those that are.
+        ModelError: The solver is not installed; the message lists those that are.
     """
     if backend == "proxqp":
         return
@@ -118,16 +125,17 @@ def check_backend(backend: str) -> None:
             f"solver backend {backend}: {install_hint('qpsolvers')} {backend}"
         ) from error
     if backend not in qpsolvers.available_solvers:
-        have = ", ".join(dict.fromkeys(["proxqp", *qpsolvers.available_solvers]))
+        installed = ", ".join(dict.fromkeys(["proxqp", *qpsolvers.available_solvers]))
         raise ModelError(
-            f"solver backend '{backend}' is not installed: pip install {backend}; there are {have}"
+            f"solver backend '{backend}' is not installed: pip install {backend}; there are "
+            f"{installed}"
         )
 
 
 def counted(counts: Counts, what: str) -> Counts:
-    """A NamedTuple of counts with one of them raised by one."""
-    raised: Any = counts
-    return raised._replace(**{what: getattr(counts, what) + 1})
+    """Return a NamedTuple of counts with one of them incremented."""
+    named_tuple: Any = counts
+    return named_tuple._replace(**{what: getattr(counts, what) + 1})
 
 
 def _clipped(low: Any, high: Any) -> tuple[Any, Any]:

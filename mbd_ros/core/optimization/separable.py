@@ -100,29 +100,29 @@ class SeparableProgram:
         scale = np.where(is_empty, 0.0, 1.0 / np.where(is_empty, 1.0, size))
         problem = Problem(cost, scale[:, None] * A, scale * b, lower, upper)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = self._feasible(problem)
-            is_feasible = found is not None and not b[is_empty].any()  # nothing fills them
-            if found is None:
-                found = _least_lacking(problem)
+            solution = self._feasible(problem)
+            is_feasible = solution is not None and not b[is_empty].any()  # nothing fills them
+            if solution is None:
+                solution = _least_lacking(problem)
         if not is_feasible:
             self.statistics = counted(self.statistics, "short")
-        lacking = b - A.dot(found.x)
-        movable = problem.movable(found.x, found.lam)
-        lam = scale * found.lam
-        return Optimum(found.x.copy(), lam, lacking, found.residual, is_feasible, movable)
+        lacking = b - A.dot(solution.x)
+        movable = problem.movable(solution.x, solution.lam)
+        lam = scale * solution.lam
+        return Optimum(solution.x.copy(), lam, lacking, solution.residual, is_feasible, movable)
 
     def _feasible(self, problem: Problem) -> Found | None:
         if problem.cost.is_quadratic:
-            found = ascended(problem, self._lam)
+            solution = ascended(problem, self._lam)
         else:
-            found = refined(problem, self._x, self._lam, _EXCHANGES)
-        if found.residual > _SOLVED:
+            solution = refined(problem, self._x, self._lam, _EXCHANGES)
+        if solution.residual > _SOLVED:
             self.statistics = counted(self.statistics, "cold")
-            found = _from_inside(problem)
-        if found.residual > _SOLVED:
+            solution = _from_inside(problem)
+        if solution.residual > _SOLVED:
             return None
-        self._x, self._lam = found.x, found.lam
-        return found
+        self._x, self._lam = solution.x, solution.lam
+        return solution
 
 
 class Statistics(NamedTuple):
@@ -175,13 +175,13 @@ def _from_inside(problem: Problem) -> Found:
     some, rest = is_open.nonzero()[0], b - A[:, ~is_open].dot(lower[~is_open])
     first = cost._replace(exponent=min(cost.exponent, _GENTLE))
     x[some], lam = interior_start(first.some(some), A[:, some], rest, lower[some], upper[some])
-    found = refined(problem._replace(cost=first), x, lam, _REFINING)
-    while first.exponent < cost.exponent and found.residual <= _NEAR:
+    solution = refined(problem._replace(cost=first), x, lam, _REFINING)
+    while first.exponent < cost.exponent and solution.residual <= _NEAR:
         first = cost._replace(exponent=min(cost.exponent, _RISE * first.exponent))
         harder = problem._replace(cost=first)
-        found = ascended(harder, multipliers_at(harder, found.x))
+        solution = ascended(harder, multipliers_at(harder, solution.x))
     is_done = first.exponent == cost.exponent
-    return found if is_done else found._replace(residual=np.inf)
+    return solution if is_done else solution._replace(residual=np.inf)
 
 
 class Optimum(NamedTuple):
@@ -220,7 +220,7 @@ class Problem(NamedTuple):
     lower: Array
     upper: Array
 
-    def kept(self, x: Array) -> Array:
+    def clip(self, x: Array) -> Array:
         """The nearest within the bounds."""
         near: Array = np.minimum(np.maximum(x, self.lower), self.upper)
         return near
@@ -306,7 +306,7 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
     if cost.exponent == 1.0 and not (cost.stiffness > 0.0).all():
         return _vertex(problem, x, lam)
     split = split_at_zero(cost, lower, upper)
-    x, s = problem.kept(x), A.T.dot(lam)
+    x, s = problem.clip(x), A.T.dot(lam)
     best = Found(x, lam, np.inf)
     for _ in range(most):
         if len(split):
@@ -314,10 +314,10 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
             x[split] = cost.some(split).at_slope(s[split])
         give = 1.0 / np.maximum(cost.curvature(x), TINY)
         y = x + give * (s - cost.slope(x))
-        x = problem.kept(y)
+        x = problem.clip(y)
         lam = lam + _solved((A * (give * (x == y))).dot(A.T), b - A.dot(x))
         s, before = A.T.dot(lam), s
-        x = problem.kept(y + give * (s - before))
+        x = problem.clip(y + give * (s - before))
         residual = problem.residual(x, lam)
         if residual < best.residual:
             best = Found(x, lam, residual)
@@ -327,7 +327,7 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
 
 
 def _vertex(problem: Problem, x: Array, lam: Array) -> Found:
-    """Of a linear program: the nearest on the rows where what is at a bound or kink stays."""
+    """Return the nearest point on the rows for a linear cost; unknowns at a bound or kink stay."""
     cost, A, b, lower, upper = problem
     near = _AT_BOUND * np.minimum(upper - lower, 1.0)
     x = np.where(x <= lower + near, lower, np.where(x >= upper - near, upper, x))
@@ -336,7 +336,7 @@ def _vertex(problem: Problem, x: Array, lam: Array) -> Found:
     onto = np.asarray(np.linalg.pinv(A[:, free], rcond=SINGULAR), dtype=np.float64)
     for _ in range(2):  # the second time for what rounding left
         x[free] += onto.dot(b - A.dot(x))
-    x = problem.kept(x)
+    x = problem.clip(x)
     lam = lam + onto.T.dot((cost.slope(x) - A.T.dot(lam))[free])
     return Found(x, lam, problem.residual(x, lam))
 
@@ -593,14 +593,14 @@ class SeparableCost(NamedTuple):
         return np.sign(rest) * np.abs(rest) ** (1.0 / (self.exponent - 1.0))
 
     def some(self, which: Indices, sign: float = 1.0) -> SeparableCost:
-        """Of some unknowns, or of their negatives, as functions of them."""
+        """Costs of some unknowns, or of their negatives, as functions of them."""
         linear, target = sign * self.linear[which], sign * self.target[which]
         return SeparableCost(
             self.exponent, self.weight[which], linear, self.stiffness[which], target
         )
 
     def joined(self, other: SeparableCost) -> SeparableCost:
-        """Of these unknowns, then of others."""
+        """Return the costs of these unknowns, then of others."""
         pairs = zip(self[1:], other[1:], strict=True)
         return SeparableCost(self.exponent, *(np.concatenate(pair) for pair in pairs))
 

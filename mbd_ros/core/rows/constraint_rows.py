@@ -1,4 +1,4 @@
-"""All rows of a scene in one order, under every solver, and rows of several blocks, stacked."""
+"""The rows of a scene in one order, the same for every solver, and stacked blocks of rows."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class ConstraintRows:
     Args:
         blocks: The blocks, of one `RowLayout`.
         nv: Size of the velocity of the robot.
-        gains: kp [1/s^2] and kd [1/s] of rows that do not give way.
+        gains: kp [1/s^2] and kd [1/s] of bilateral rows.
 
     Attributes:
         cones: Contacts with friction among these rows, their slots counted here.
         rows: One entry a row.
-        slots: Where their multipliers stand among those of the scene, shape (m,).
-        slices: Where the rows of each block stand here.
-        reads: What the parts read of k.
+        slots: Places of their multipliers among those of the scene, shape (m,).
+        slices: Places of the rows of each block here.
+        reads: Level of the kinematics that the parts read.
         lower: Smallest multiplier of every row, -inf where it is free, shape (m,).
         upper: Largest multiplier of every row, shape (m,).
-        varies: Whether some of these depend on the state; `limit` brings them there.
-        is_corrected: Whether any row demands more than g'' = 0.
-        is_rate: Which rows state velocities, and have no g, shape (m,).
+        varies: Whether some bounds depend on the state; `limit` evaluates them.
+        is_corrected: Whether any row has gains, g'' + kd g' + kp g = 0.
+        is_rate: Which rows are on velocities, without a g, shape (m,).
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class ConstraintRows:
         self.gains = gains
         self.parts = tuple(block.part for block in blocks)
         self.rows = tuple(row for block in blocks for row in block.rows)
-        every = [np.arange(block.slots.start, block.slots.stop) for block in blocks]
-        self.slots = np.concatenate([np.zeros(0, dtype=np.intp), *every])
+        slots = [np.arange(block.slots.start, block.slots.stop) for block in blocks]
+        self.slots = np.concatenate([np.zeros(0, dtype=np.intp), *slots])
         ends = np.cumsum([0, *(len(block.rows) for block in blocks)]).tolist()
         self.slices = [slice(*pair) for pair in itertools.pairwise(ends)]
-        each = zip(self.blocks, self.slices, strict=True)
-        self.cones = tuple(cone for block, mine in each for cone in block.cones(mine.start))
+        pairs = zip(self.blocks, self.slices, strict=True)
+        self.cones = tuple(cone for block, at in pairs for cone in block.cones(at.start))
         self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
         m = len(self.rows)
         self.lower = np.full(m, -np.inf)
@@ -83,7 +83,7 @@ class ConstraintRows:
         self._residuals = [_residual(block) for block in self.blocks]
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """J and drift with g'' = J a + drift: (m, nv) and (m,), overwritten by the next call."""
+        """Return J and drift with g'' = J a + drift, which the next call overwrites."""
         if self._only is not None:
             return self._only.accelerations(k, x)
         for part, mine in zip(self.parts, self.slices, strict=True):
@@ -91,11 +91,11 @@ class ConstraintRows:
         return self._J, self._drift
 
     def pushes(self, k: Kinematics, x: State) -> Array:
-        """D, with the force D' lam on the joints, shape (m, nv), fresh; J while nothing slips."""
+        """Return D, with the force D' lam on the joints, shape (m, nv), fresh; J without slip."""
         return np.concatenate([self._no_rows, *(part.pushes(k, x) for part in self.parts)])
 
     def conditions(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """J and b of the condition J a + b = g'' + kd g' + kp g, (m, nv) and (m,)."""
+        """Return J and b of the condition J a + b = g'' + kd g' + kp g, (m, nv) and (m,)."""
         J, drift = self.accelerations(k, x)
         if not self.is_corrected:
             return J, drift
@@ -106,7 +106,7 @@ class ConstraintRows:
         return J, drift + self._kd * rate + self._kp * g
 
     def limit(self, k: Kinematics, x: State) -> None:
-        """Bring `lower` and `upper` of rows whose bounds depend on the state there.
+        """Evaluate `lower` and `upper` of rows whose bounds depend on the state.
 
         Raises:
             SolveError: A lower bound is above the upper one; names the row.
@@ -117,23 +117,23 @@ class ConstraintRows:
         ordered = self.lower <= self.upper
         if not ordered.all():
             row = self.rows[int(ordered.argmin())].name
-            raise SolveError(f"the lower bound of row {row} is above the upper one")
+            raise SolveError(f"the lower bound of row {row} is above its upper bound")
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Wrenches of the multipliers, shape (m,), on bodies, for parts that act on frames."""
+        """Return the wrenches of the multipliers on bodies, for parts that act on frames."""
         pairs = zip(self.parts, self.slices, strict=True)
         return tuple(w for part, mine in pairs for w in part.wrenches(k, x, lam[mine]))
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """g, shape (m,); 0 for rows of velocities, which have none."""
+        """Return g, shape (m,); 0 for rows on velocities, which have none."""
         return np.concatenate([self._none, *(g(k, x) for g in self._residuals)])
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """dg/dq, shape (m, nv), fresh."""
+        """Return dg/dq, shape (m, nv), fresh."""
         return np.concatenate([self._no_rows, *(part.jacobian(k, x) for part in self.parts)])
 
     def rate(self, k: Kinematics, x: State) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
         return np.concatenate([self._none, *(part.rate(k, x) for part in self.parts)])
 
 
@@ -145,19 +145,19 @@ def _residual(block: RowBlock) -> Residual:
 
 
 class RowLayout:
-    """Couplings first, then constraints as the scene lists them.
+    """Order of all rows of a scene: couplings first, then constraints as the scene lists them.
 
-    The one place that knows which multipliers of an `Evaluation` belong to which rows.
+    Multipliers of an `Evaluation` have this order.
 
     Args:
         parts: Couplings and constraints, in that order.
 
     Attributes:
-        rows: One entry a multiplier, as columns call it: `<part>.<quantity>`.
+        rows: One entry a multiplier, named as its column: `<part>.<quantity>`.
         blocks: One entry a constraint.
-        rigid: Blocks that hold whatever multipliers that takes.
-        yielding: The other blocks.
-        exact: Those of them that give way at events only.
+        rigid: Bilateral blocks, which hold with any multiplier.
+        yielding: Unilateral and bounded blocks.
+        event_rows: Those of them whose mode changes at events only.
         smoothed: Those that are solved for in every evaluation.
         cones: One entry a contact with friction.
 
@@ -174,20 +174,20 @@ class RowLayout:
         )
         self.rigid = tuple(block for block in self.blocks if block.law.is_rigid)
         self.yielding = tuple(block for block in self.blocks if not block.law.is_rigid)
-        self.exact = tuple(block for block in self.yielding if not block.smoothed)
+        self.event_rows = tuple(block for block in self.yielding if not block.smoothed)
         self.smoothed = tuple(block for block in self.yielding if block.smoothed)
         self.cones = tuple(cone for block in self.blocks for cone in block.cones())
 
     def of(self, level: Level) -> tuple[RowBlock, ...]:
-        """Blocks of one level; a projection of positions asks for `Level.POSITION`."""
+        """Return the blocks of one level."""
         return tuple(block for block in self.blocks if block.level is level)
 
     def on(self, mode: Mode) -> tuple[RowBlock, ...]:
-        """Blocks that act in a mode; their slots are the same in every mode."""
+        """Return the blocks that exist in a mode; their slots are the same in every mode."""
         return tuple(block for block in self.blocks if block.part.acts(mode))
 
     def having(self, *kinds: Kind) -> tuple[RowBlock, ...]:
-        """Blocks whose law is of one of these kinds."""
+        """Return the blocks whose law is of one of these kinds."""
         return tuple(block for block in self.blocks if block.law.kind in kinds)
 
 
@@ -195,10 +195,6 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
     where = f"constraint {type(part).__name__}"
     if rows:
         where = f"{where} with row {rows[0].name}"
-    if hasattr(part, "bounds"):
-        raise ModelError(
-            f"{where} has bounds: say law = box(lower, upper) of core/rows/constraint.py"
-        )
     law, m = part.law, len(rows)
     try:
         lower = np.broadcast_to(-np.inf if callable(law.lower) else law.lower, m)
@@ -234,12 +230,13 @@ class RowBlock(NamedTuple):
     """The rows of one constraint, as solvers see them.
 
     Attributes:
-        rows: One entry a row, of a name that no other row has.
-        slots: Where their multipliers stand among those of the scene, in every mode.
-        level: Whether they state positions or velocities.
-        law: What the multipliers may be.
+        part: The constraint.
+        rows: One entry a row, each with a unique name.
+        slots: Places of their multipliers among those of the scene, in every mode.
+        level: Whether they are on positions or on velocities.
+        law: Law of the multipliers.
         gains: kp [1/s^2] and kd [1/s] of every row, shape (m,) each.
-        smoothed: Whether rows that give way are solved for in every evaluation.
+        smoothed: Whether unilateral and bounded rows are solved for in every evaluation.
         slips: Whether multipliers may push along another direction than J'.
     """
 
@@ -253,7 +250,7 @@ class RowBlock(NamedTuple):
     slips: bool
 
     def limits(self, k: Kinematics, x: State) -> tuple[Any, Any]:
-        """Smallest and largest multiplier at a state: one number or one a row, each."""
+        """Return the smallest and largest multiplier at a state: one number or one a row each."""
         lower, upper = self.law.lower, self.law.upper
         return (
             lower(k, x) if callable(lower) else lower,
@@ -261,11 +258,10 @@ class RowBlock(NamedTuple):
         )
 
     def cones(self, first: int | None = None) -> list[Cone]:
-        """One entry a contact with friction.
+        """Return one entry a contact with friction.
 
         Args:
-            first: Where the rows of the block begin; its place among those of the scene is the
-                default.
+            first: Number of the first row of the block; by default its slot in the scene.
         """
         if self.law.kind is not Kind.CONE:
             return []
@@ -282,10 +278,10 @@ class Cone(NamedTuple):
     """One contact with friction: the rows of its normal and two tangents.
 
     Attributes:
-        name: That of the row of its normal.
-        slots: Its three rows, among those of the scene or of who asks.
+        name: Name of the row of its normal.
+        slots: Numbers of its three rows.
         mu: Coefficient of friction.
-        e: Restitution along the normal.
+        e: Coefficient of restitution along the normal.
     """
 
     name: str
@@ -295,40 +291,41 @@ class Cone(NamedTuple):
 
 
 def labelled(parts: Sequence[Constraint]) -> tuple[Row, ...]:
-    """All rows, as columns and messages call them: `<part>.<row>`, numbered where that repeats."""
+    """Return all rows with the names of columns: `<part>.<row>`, numbered where that repeats."""
     rows = [row._replace(name=label(part, row.name)) for part in parts for row in part.rows]
     return numbered(rows)
 
 
 def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """The rows; equal names get a number: bar, bar#2, bar#3."""
+    """Return the rows with unique names: bar, bar#2, bar#3."""
     seen: Counter[str] = Counter()
-    told_apart = []
+    unique = []
     for row in rows:
         seen[row.name] += 1
         count = seen[row.name]
-        told_apart.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
-    return tuple(told_apart)
+        unique.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
+    return tuple(unique)
 
 
 def independent(J: Array) -> list[int]:
-    """Numbers of the rows of a matrix that are not combinations of rows before them."""
-    kept, basis = list[int](), np.zeros((0, J.shape[1]))
+    """Return the numbers of rows of a matrix that are no combinations of rows before them."""
+    numbers, basis = list[int](), np.zeros((0, J.shape[1]))
     for number, direction in enumerate(J):
-        left = direction - basis.T.dot(basis.dot(direction))
-        left = left - basis.T.dot(basis.dot(left))
-        size = float(np.linalg.norm(left))
+        across = direction - basis.T.dot(basis.dot(direction))
+        across = across - basis.T.dot(basis.dot(across))
+        size = float(np.linalg.norm(across))
         if size**2 > redundant(len(J)) * float(direction.dot(direction)):
-            kept.append(number)
-            basis = np.vstack((basis, left / size))
-    return kept
+            numbers.append(number)
+            basis = np.vstack((basis, across / size))
+    return numbers
 
 
 class CouplingRows(Constraint):
-    """Every coupling of a scene as a row; its multiplier pushes the dependent joint.
+    """Rows of the couplings of a scene; each multiplier acts on the dependent joint.
 
     Args:
-        couplings: Its dependent joints, in the order of the rows.
+        robot: The robot.
+        couplings: The couplings, in the order of the rows.
 
     Attributes:
         pairs: The couplings in indices, parents before children.
@@ -346,20 +343,20 @@ class CouplingRows(Constraint):
             self._constant = self._jacobian(Kinematics, rest), self._drift(Kinematics, rest)
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, which do not change where all functions are linear."""
+        """Return `jacobian` and `drift`, which are constant where all functions are linear."""
         return self._constant or (self._jacobian(k, x), self._drift(k, x))
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """q_d - f(q_p), shape (m,)."""
+        """Return q_d - f(q_p), shape (m,)."""
         q = x.q.tolist()
         return k.array([q[i.child_q] - i.function(q[i.parent_q])[0] for i in self.pairs])
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """1 at the dependent joint, -f' at its parent, shape (m, nv)."""
+        """Return 1 at the dependent joint and -f' at its parent, shape (m, nv)."""
         return self._jacobian(k, x)
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """-f'' v_p^2, shape (m,)."""
+        """Return -f'' v_p^2, shape (m,)."""
         return self._drift(k, x)
 
     def _jacobian(self, k: _Numbers, x: State) -> Array:
@@ -378,5 +375,5 @@ class CouplingRows(Constraint):
 
 
 def rigid(parts: Sequence[Constraint]) -> list[Constraint]:
-    """Constraints that hold whatever multipliers that takes: without stops and dry friction."""
+    """Return the bilateral constraints, without stops and dry friction."""
     return [part for part in parts if part.law.is_rigid]

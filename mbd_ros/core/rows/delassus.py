@@ -1,4 +1,4 @@
-"""The Delassus matrix A = J M^-1 J' factorised, with its rank; and how large rows usually are.
+"""The factorised Delassus matrix A = J M^-1 J' with its rank, and characteristic sizes of rows.
 
 At a toggle a row may vanish altogether: scaled by itself, rounding would look like a direction.
 The characteristic sizes of masses and rows are those of many configurations, so that one which
@@ -34,7 +34,7 @@ _PROBES = 9
 
 
 class RowFactor:
-    """Solves A lam = r with A = J M^-1 J', rows scaled by their usual size, or a larger one.
+    """Factor of A = J M^-1 J' with scaled rows, which solves A lam = r.
 
     Well-conditioned rows go through a Cholesky factor. Otherwise the eigenvalues decide:
     directions below `NEARLY_SINGULAR` are left out, because at a toggle they would turn rounding
@@ -80,27 +80,27 @@ class RowFactor:
             raise SolveError("constraint rows or masses are not finite")
         values, vectors = np.linalg.eigh(scaled)
         largest = max(float(values[-1]), TINY)
-        kept = values > NEARLY_SINGULAR * largest
+        is_regular = values > NEARLY_SINGULAR * largest
         null = values <= redundant(len(values)) * largest
         self.rank = len(values) - int(np.count_nonzero(null))
         self.condition = float(np.sqrt(largest / values[0])) if not null.any() else np.inf
-        self._inverse = (vectors[:, kept] / values[kept]).dot(vectors[:, kept].T)
+        self._inverse = (vectors[:, is_regular] / values[is_regular]).dot(vectors[:, is_regular].T)
         self._null = vectors[:, null]
         self._silent, _ = np.linalg.qr(self._scale[:, None] * self._null)
 
     def solve(self, r: Array) -> Array:
-        """The lam with A lam = r, of smallest norm among redundant rows, shape as r."""
+        """Return lam with A lam = r, of smallest norm among redundant rows, shape as r."""
         if self._is_regular:
             return self._scaled(self._cholesky.solve(self._scaled(r)).reshape(r.shape))
         lam = self._scaled(self._inverse.dot(self._scaled(r)))
         return lam - self._silent.dot(self._silent.T.dot(lam))
 
     def motion(self, r: Array) -> Array:
-        """The smallest change of v or a, in the mass metric, that changes the rows by r."""
+        """Return the smallest change of v or a, in the mass metric, that changes the rows by r."""
         return self.X.dot(self.solve(r))
 
     def contradiction(self, r: Array, drift: Array, motion: float) -> int | None:
-        """The row that most contradicts the others in A lam = r, or None.
+        """Return the row that most contradicts the others in A lam = r, or None.
 
         Args:
             r: Right-hand side -(J a + drift), shape (m,).
@@ -127,9 +127,9 @@ def is_rounding(J: Array) -> NDArray[np.bool_]:
 
 
 class UsualSizes(NamedTuple):
-    """Medians over configurations all over the range of the joints, closed or not.
+    """Characteristic sizes: medians over configurations in the whole range of the joints.
 
-    What a row usually is does not depend on where a motion has been.
+    They do not depend on the course of a motion, and loops need not be closed.
 
     Attributes:
         inertia: Diagonal of M [kg·m^2 or kg], shape (nv,).
@@ -145,17 +145,18 @@ class UsualSizes(NamedTuple):
 
 
 def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> UsualSizes:
-    """Sizes of rows; 0 where nothing is finite.
+    """Return the characteristic sizes of rows; 0 where nothing is finite.
 
     Args:
-        at: Configuration -> M, shape (nv, nv), and the rows, shape (m, nv).
+        robot: The robot.
+        at: Function from a configuration to M, shape (nv, nv), and the rows, shape (m, nv).
     """
-    found = []
+    sizes = []
     with np.errstate(all="ignore"):
         for q in configurations(robot):
             M, J = at(q)
-            found.append((M.diagonal().copy(), _squares(M, J.T), J * J))
-    inertia, mobility, square = (_median(each) for each in zip(*found, strict=True))
+            sizes.append((M.diagonal().copy(), _squares(M, J.T), J * J))
+    inertia, mobility, square = (_median(each) for each in zip(*sizes, strict=True))
     share = 1.0 / np.where(inertia > 0.0, inertia, 1.0)
     length = square.dot(share)
     weights = np.sqrt(share / np.where(length > 0.0, length, 1.0)[:, None])
@@ -163,34 +164,35 @@ def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Usu
 
 
 def _squares(M: Array, columns: Array) -> Array:
-    """The c' M^-1 c of every column, shape (k,)."""
+    """Return c' M^-1 c of every column, shape (k,)."""
     X = eigenpy.LLT(M).solve(columns).reshape(columns.shape)  # eigenpy flattens one column
     return np.asarray(np.einsum("ij,ij->j", columns, X), dtype=np.float64)
 
 
 def _median(values: Any) -> Array:
-    """The median of those that are finite; half of them are enough."""
+    """Return medians with 0 in place of values that are not finite."""
     stacked = np.array(values)
-    kept = np.where(np.isfinite(stacked), stacked, 0.0)
-    return np.asarray(np.median(kept, axis=0), dtype=np.float64)
+    finite = np.where(np.isfinite(stacked), stacked, 0.0)
+    return np.asarray(np.median(finite, axis=0), dtype=np.float64)
 
 
 def usual_norms(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Norms of columns in the metric M^-1, shape (k,).
+    """Return characteristic norms of columns in the metric M^-1, shape (k,).
 
     Args:
-        at: Configuration -> M, shape (nv, nv), and the columns, shape (nv, k).
+        robot: The robot.
+        at: Function from a configuration to M, shape (nv, nv), and the columns, shape (nv, k).
     """
-    found = []
+    norms = []
     with np.errstate(all="ignore"):
         for q in configurations(robot):
             M, columns = at(q)
-            found.append(np.sqrt(_squares(M, columns)))
-    return _median(found)
+            norms.append(np.sqrt(_squares(M, columns)))
+    return _median(norms)
 
 
 def configurations(robot: Robot) -> list[Array]:
-    """Configurations over the range of all joints, a turn or a metre where it has no ends."""
+    """Return configurations over the range of all joints; a turn or a metre where unlimited."""
     turns = np.sin(np.outer(np.arange(1, _PROBES + 1), np.arange(1.0, robot.model.nv + 1)))
     middle, half = np.zeros(robot.model.nv), np.ones(robot.model.nv)
     for joint in robot.joints:

@@ -1,16 +1,16 @@
-"""Rows that hold a frame on one body to a frame on another.
+"""Rows that fix a frame on one body to a frame on another.
 
 Positions: with the origins p_a, p_b of the frames and the rotation R_a of frame a,
 
     g = R_a' (p_b - p_a),   g' = R_a' (v_b - v_a - omega_a x (p_b - p_a)) = J v
 
-in the directions that are held; `relative_motion` evaluates g, J and the rest of g''. Source: R.
+in the constrained directions; `relative_motion` evaluates g, J and the rest of g''. Source: R.
 Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 8.
 
 Rotations: R is the rotation from the axes of b to those of a; omega, the angular velocity of b
-relative to a, and its derivative alpha stand in the axes of a: R' = [omega] x R. How far the axes
-are turned against each other is measured by residuals of the length 2 sin(theta / 2) of the angle
-theta that is left. They vanish only where the axes agree, unlike sines and dot products of axes,
+relative to a, and its derivative alpha stand in the axes of a: R' = [omega] x R. The
+misalignment of the axes by an angle theta is measured by residuals of the length
+2 sin(theta / 2). They vanish only where the axes agree, unlike sines and dot products of axes,
 which vanish at 180 degrees too; their derivatives are exact up to there.
 """
 
@@ -48,11 +48,11 @@ _ROTATIONS, _ALL = slice(3, 6), slice(0, 6)
 
 
 class PairRows(Constraint):
-    """Origin of b at that of a, in some directions of a; axes as the rotation residual demands.
+    """Rows that fix the origin of b to that of a in some directions, and some of the axes.
 
     Args:
         pair: Frame a and frame b.
-        directions: Key of `DIRECTIONS`: axes of a along which the origins must not part.
+        directions: Key of `DIRECTIONS`: axes of a along which the origins must coincide.
         rotation: Residual of the axes; None leaves them free.
     """
 
@@ -76,55 +76,55 @@ class PairRows(Constraint):
         self.outputs = (exerted_on(pair.a, pair.b), exerted_on(pair.b, pair.b))
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """Distances [m] in axes of a, then what the rotation residual measures [rad]."""
-        seen = k.motion(self._pair)
-        offset = seen.offset()[self._rows]
+        """Return distances [m] in axes of a, then the rotation residual [rad]."""
+        motion = k.motion(self._pair)
+        offset = motion.offset()[self._rows]
         if self._rotation is None:
             return offset
-        return np.concatenate((offset, self._rotation.residual(seen.rotation())))
+        return np.concatenate((offset, self._rotation.residual(motion.rotation())))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """dg/dq, shape (m, nv)."""
-        seen = k.motion(self._pair)
-        return self._jacobian(seen, self._placed(seen), self._turned(seen))
+        """Return dg/dq, shape (m, nv)."""
+        motion = k.motion(self._pair)
+        return self._jacobian(motion, self._placed(motion), self._orientation(motion))
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """J' v, shape (m,)."""
-        seen = k.motion(self._pair)
-        return self._drift(seen, self._placed(seen), self._turned(seen))
+        """Return J' v, shape (m,)."""
+        motion = k.motion(self._pair)
+        return self._drift(motion, self._placed(motion), self._orientation(motion))
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for the placements of one."""
-        seen = k.motion(self._pair)
-        placed, R = self._placed(seen), self._turned(seen)
-        return self._jacobian(seen, placed, R), self._drift(seen, placed, R)
+        """Return `jacobian` and `drift` from one placement of the frames."""
+        motion = k.motion(self._pair)
+        placed, R = self._placed(motion), self._orientation(motion)
+        return self._jacobian(motion, placed, R), self._drift(motion, placed, R)
 
-    def _placed(self, seen: PairMotion) -> Placed | None:
-        return seen.placed() if self._rotation is None else seen.place()
+    def _placed(self, motion: PairMotion) -> Placed | None:
+        return motion.placed() if self._rotation is None else motion.place()
 
-    def _turned(self, seen: PairMotion) -> Any:
-        return None if self._rotation is None else seen.rotation()
+    def _orientation(self, motion: PairMotion) -> Any:
+        return None if self._rotation is None else motion.rotation()
 
-    def _jacobian(self, seen: PairMotion, placed: Placed | None, R: Any) -> Array:
+    def _jacobian(self, motion: PairMotion, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return seen.jacobian(placed, self._rows)
-        whole = seen.jacobian(placed, _ALL)
-        turns = self._rotation.slope(R).dot(whole[_ROTATIONS])
-        return np.concatenate((whole[self._rows], turns))
+            return motion.jacobian(placed, self._rows)
+        J = motion.jacobian(placed, _ALL)
+        turns = self._rotation.slope(R).dot(J[_ROTATIONS])
+        return np.concatenate((J[self._rows], turns))
 
-    def _drift(self, seen: PairMotion, placed: Placed | None, R: Any) -> Array:
+    def _drift(self, motion: PairMotion, placed: Placed | None, R: Any) -> Array:
         if self._rotation is None:
-            return seen.acceleration(placed)[self._rows]
+            return motion.acceleration(placed)[self._rows]
         assert placed is not None
-        linear, omega, alpha = seen.motion(placed)
+        linear, omega, alpha = motion.motion(placed)
         return np.concatenate((linear[self._rows], self._rotation.drift(R, omega, alpha)))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """The wrenches between a and b."""
+        """Return the wrenches between a and b."""
         return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """The wrenches between a and b, at the origin of b: on a, then on b."""
+        """Return the wrenches between a and b at the origin of b: on a, then on b."""
         _, a, b, _ = self._pair
         axes, point = k.rotation(a), k.position(b)
         force = axes[:, self._rows].dot(lam[: self._count])
@@ -136,7 +136,7 @@ class PairRows(Constraint):
 
 
 class FullRotation:
-    """Same axes: g = 2 e, where (e, w) is the quaternion of R with w >= 0.
+    """Residual of equal axes: g = 2 e, where (e, w) is the quaternion of R with w >= 0.
 
     g' = (w - [e] x) omega and g'' = (w - [e] x) alpha - |omega|^2 g / 4.
 
@@ -147,17 +147,17 @@ class FullRotation:
     names: tuple[str, ...] = ("x", "y", "z")
 
     def residual(self, R: Array) -> Array:
-        """The remaining turn, g [rad], shape (3,)."""
+        """Return the misalignment g [rad], shape (3,)."""
         x, y, z, _ = _quaternion(R)
         return np.array((2.0 * x, 2.0 * y, 2.0 * z))
 
     def slope(self, R: Array) -> Array:
-        """From omega to g', shape (3, 3)."""
+        """Return the matrix from omega to g', shape (3, 3)."""
         x, y, z, w = _quaternion(R)
         return np.array(((w, z, -y), (-z, w, x), (y, -x, w)))
 
     def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
-        """Second derivative g'' at these angular velocities and accelerations, shape (3,)."""
+        """Return g'' at these angular velocities and accelerations, shape (3,)."""
         x, y, z, w = _quaternion(R)
         ax, ay, az = alpha.tolist()
         bend = 0.5 * omega.dot(omega)
@@ -171,7 +171,7 @@ class FullRotation:
 
 
 def _quaternion(R: Array) -> tuple[float, float, float, float]:
-    """x, y, z, w as floats, w >= 0; NaN where R is no rotation.
+    """Return x, y, z, w as floats, w >= 0; NaN where R is no rotation.
 
     Source: K. Shoemake, Animating rotation with quaternion curves, 1985; as Eigen has it.
     """
@@ -202,7 +202,7 @@ def _root(square: Any) -> Any:
 
 
 class AxisRotation:
-    """One axis in common: g = s m, transverse components of m = e x c.
+    """Residual of one common axis: g = s m, transverse components of m = e x c.
 
     e is the axis in a, c = R e that of b, k = e . c, and s = sqrt(2 / (1 + k)) turns the length
     sin(theta) of m into 2 sin(theta / 2). From c' = omega x c:
@@ -221,12 +221,12 @@ class AxisRotation:
         self.names: tuple[str, ...] = tuple("xyz"[i] for i in self._across)
 
     def residual(self, R: Array) -> Array:
-        """The remaining turn, g [rad], shape (2,)."""
+        """Return the misalignment g [rad], shape (2,)."""
         _, c2, c3, s = self._axis(R)
         return self._rows(-s * c3, s * c2)
 
     def slope(self, R: Array) -> Array:
-        """From omega to g', shape (2, 3)."""
+        """Return the matrix from omega to g', shape (2, 3)."""
         k, c2, c3, s = self._axis(R)
         f = 0.5 * s / (1.0 + k)
         first, second, third = self._cycle
@@ -238,7 +238,7 @@ class AxisRotation:
         return across
 
     def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
-        """Second derivative g'' at these angular velocities and accelerations, shape (2,)."""
+        """Return g'' at these angular velocities and accelerations, shape (2,)."""
         k, c2, c3, s = self._axis(R)
         first, second, third = self._cycle
         turn = omega.tolist()
@@ -254,18 +254,18 @@ class AxisRotation:
         return bent
 
     def _axis(self, R: Array) -> tuple[float, float, float, float]:
-        """Components of c along the axis (k) and across it, and s."""
+        """Return the components of c along the axis (k) and across it, and s."""
         first, second, third = self._cycle
         c = R[:, first].tolist()
         k, c2, c3 = c[first], c[second], c[third]
-        # opposite, no direction is the shortest way back: one is as good as another
+        # opposite axes: all directions back are equally short, so one is chosen
         if not is_symbol(k) and k < _OPPOSITE - 1.0:
             k = _OPPOSITE - 1.0
             c2, c3 = math.sqrt(1.0 - k * k), 0.0
         return k, c2, c3, _root(2.0 / (1.0 + k))
 
     def _rows(self, second: float, third: float) -> Array:
-        """Components across the axis in the order of x, y, z."""
+        """Return the components across the axis in the order of x, y, z."""
         if self._cycle[1] < self._cycle[2]:
             return np.array((second, third))
         return np.array((third, second))
@@ -281,24 +281,24 @@ class RotationResidual(Protocol):
     names: tuple[str, ...]
 
     def residual(self, R: Array) -> Array:
-        """The remaining turn, g [rad], shape (m,)."""
+        """Return the misalignment g [rad], shape (m,)."""
 
     def slope(self, R: Array) -> Array:
-        """From omega to g', shape (m, 3)."""
+        """Return the matrix from omega to g', shape (m, 3)."""
 
     def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
-        """Second derivative g'' at these angular velocities and accelerations, shape (m,)."""
+        """Return g'' at these angular velocities and accelerations, shape (m,)."""
 
 
 def plane_of(robot: Robot, point: Point, normal: Sequence[float]) -> Point:
-    """The point of a plane, with z along a normal that stands in its axes."""
+    """Return the point of a plane, with z along a normal that is expressed in its axes."""
     along = np.array(normal, dtype=np.float64)
     along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
-    return robot.turned(point, _turned(along / np.linalg.norm(along)))
+    return robot.rotated(point, _rotation_to(along / np.linalg.norm(along)))
 
 
-def _turned(normal: Array) -> Array:
-    """A rotation whose z axis is the normal."""
+def _rotation_to(normal: Array) -> Array:
+    """Return a rotation whose z axis is the normal."""
     x = np.eye(3)[int(np.argmin(np.abs(normal)))]
     x = x - normal * normal.dot(x)
     x /= np.linalg.norm(x)
@@ -308,15 +308,15 @@ def _turned(normal: Array) -> Array:
 
 
 class HeldContact(Constraint):
-    """Rows of a rigid contact as bilateral ones: gap = 0, and no slip.
+    """Rows of a rigid contact as bilateral rows: gap = 0, and no slip.
 
-    A round body that is held rolls. Tangents along which no joint moves are left out.
+    A round body rolls on it. Tangents along which no joint moves are left out.
 
     Args:
         contact: The contact, a constraint with the law `cone`.
 
     Attributes:
-        name: That of the contact, whose multipliers these are.
+        name: Name of the contact, whose multipliers these are.
 
     Raises:
         ModelError: No joint moves the bodies against each other.
@@ -328,38 +328,42 @@ class HeldContact(Constraint):
         self.contact = contact
         self.name = contact.name
         self.reads = contact.reads
-        kept = self._kept = np.flatnonzero(_moved(robot, contact))
-        if not len(kept):
-            raise ModelError(f"contact {contact.name} cannot be held: no joint moves it")
-        self.rows = tuple(contact.rows[i] for i in kept)
+        numbers = np.flatnonzero(_largest_entries(robot, contact))
+        if not len(numbers):
+            raise ModelError(
+                f"contact {contact.name} cannot be held: no joint moves its bodies against "
+                "each other"
+            )
+        self._numbers = numbers
+        self.rows = tuple(contact.rows[i] for i in numbers)
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """Gaps [m], and zeros along tangents, shape (m,)."""
-        return np.asarray(self.contact.residual(k, x)[self._kept])
+        """Return gaps [m], and zeros along tangents, shape (m,)."""
+        return np.asarray(self.contact.residual(k, x)[self._numbers])
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Rows of the contact frames, shape (m, nv)."""
-        return np.asarray(self.contact.jacobian(k, x)[self._kept])
+        """Return the rows of the contact frames, shape (m, nv)."""
+        return np.asarray(self.contact.jacobian(k, x)[self._numbers])
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """J' v, shape (m,)."""
-        return np.asarray(self.contact.drift(k, x)[self._kept])
+        """Return J' v, shape (m,)."""
+        return np.asarray(self.contact.drift(k, x)[self._numbers])
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for the places of one."""
+        """Return `jacobian` and `drift` from one placement of the contact."""
         J, drift = self.contact.accelerations(k, x)
-        return J[self._kept], drift[self._kept]
+        return J[self._numbers], drift[self._numbers]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Those of the contact."""
-        whole = k.zeros(len(self.contact.rows))
-        whole[self._kept] = lam
-        found: tuple[Wrench, ...] = self.contact.wrenches(k, x, whole)
-        return found
+        """Return the wrenches of the contact."""
+        every_lam = k.zeros(len(self.contact.rows))
+        every_lam[self._numbers] = lam
+        wrenches: tuple[Wrench, ...] = self.contact.wrenches(k, x, every_lam)
+        return wrenches
 
 
-def _moved(robot: Robot, contact: Any) -> Array:
-    """Largest entry of each row over configurations, 0 where it is rounding, shape (m,)."""
+def _largest_entries(robot: Robot, contact: Any) -> Array:
+    """Return the largest entry of each row over configurations, 0 for rounding, shape (m,)."""
     k, still = Kinematics(robot), np.zeros(robot.model.nv)
     largest = np.zeros(len(contact.rows))
     for q in configurations(robot):
@@ -370,6 +374,6 @@ def _moved(robot: Robot, contact: Any) -> Array:
 
 
 def check_normal(normal: Sequence[float]) -> None:
-    """Refuse a normal that points nowhere."""
+    """Refuse a normal of length 0."""
     if not any(normal):
         raise ModelError(f"normal {normal} must have a direction")

@@ -1,4 +1,4 @@
-"""The row of a path: its length is held, or not exceeded."""
+"""The row of a path with a fixed or a largest length."""
 
 from collections.abc import Sequence
 
@@ -12,12 +12,11 @@ from mbd_ros.core.state import Array, State
 
 
 class PathRow(Constraint):
-    """What a path of length l(q) lacks of a given length: g = length - l.
-
-    The multiplier is the tension [N].
+    """Row g = length - l(q) of a path; its multiplier is the tension [N].
 
     Args:
-        length: The given length [m].
+        path: The path, of length l(q).
+        length: Prescribed or largest length [m].
     """
 
     rows = (Row("tension", "N"),)
@@ -29,23 +28,23 @@ class PathRow(Constraint):
         self.reads = Reads.DRIFT if path.reads else Reads.NOTHING
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """The g [m], shape (1,)."""
+        """Return g [m], shape (1,)."""
         return k.array((self._length - self.path.length(k, x),))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """-dl/dq, shape (1, nv)."""
+        """Return -dl/dq, shape (1, nv)."""
         return k.row(-self.path.measured(k, x)[1])
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """The -l'' at zero joint acceleration, shape (1,)."""
+        """Return -l'' at zero joint acceleration, shape (1,)."""
         return k.array((-self.path.drift(k, x),))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """The l [m]."""
+        """Return l [m]."""
         return (self.path.length(k, x),)
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Forces at the points that the path goes through."""
+        """Return the forces at the points of the path."""
         free = np.zeros(3)
         pulls = self.path.pulls(k, x)
         return tuple(Wrench(p.frame, p.point, p.force * lam[0], free) for p in pulls)

@@ -1,7 +1,7 @@
-"""The reference of a controller: a held state, single targets or trajectories, within limits.
+"""The reference of a controller: a fixed position, single targets or trajectories, within limits.
 
-A reference names joints in any order; `ReferenceMap` finds the controlled ones among them, and
-maps joints that follow others to those.
+A reference names joints in any order. `ReferenceMap` selects the controlled joints among them, and
+maps coupled joints to the joints that they follow.
 """
 
 from collections.abc import Sequence
@@ -23,38 +23,39 @@ from mbd_ros.features.control.trajectory import (
 )
 from mbd_ros.methods.control.contract import ControlledJoints, Reference
 
-_SHORTEST = 1.0e-4  # [s] of a ramp
-_FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off by years
+_SHORTEST = 1.0e-4  # s, duration of a ramp
+_FARTHEST = 3600.0  # s that a trajectory may lie ahead; another clock would be off by years
 _MOST_NAMES = 8  # in an error
 
 
 class ReferenceGenerator:
-    """Turns targets and trajectories into one reference that is smooth over time.
+    """Generator of one smooth reference from targets and trajectories.
 
-    A trajectory that does not begin at the reference gets an offset, a quintic that decays,
+    A trajectory that does not start at the present reference gets an offset that decays as a
+    quintic,
 
         ref(t) = trajectory(t) + offset(t),   offset -> 0 within T,
 
-    T so long that the offset moves no joint faster than `ramp_speed` of its velocity limit, and
-    at least `ramp`. A single target is reached after the time since the last one, so that a
-    stream of targets is interpolated, and later where that would be too fast. Without a
-    successor it comes to rest within `timeout`.
+    where T is at least `ramp`, and so long that the offset moves no joint faster than `ramp_speed`
+    times its velocity limit. A single target is reached after the time since the last one, so
+    that a stream of targets is interpolated, or later if that would be too fast. Without a next
+    target the reference comes to rest within `timeout`.
 
-    Position and velocity never jump; accelerations continue within a stream only, since an
-    acceleration carried through a ramp would swing it by 0.017 a T². A reference that would leave
-    the position limits on the way stands at them.
+    Position and velocity never jump. Accelerations continue within a stream only, since an
+    acceleration that a ramp took over would swing it by 0.017 a T². A reference that would pass a
+    position limit rests there.
 
     Args:
         joints: The controlled joints, whose limits targets must keep.
-        ramp: Shortest time to a reference that jumps, in which its offset decays.
-        ramp_speed: Share of the velocity limits for such ramps.
-        timeout: Age of a single target from which it is held.
+        ramp: Shortest time in which the offset of a new reference decays.
+        ramp_speed: Share of the velocity limits that such ramps use.
+        timeout: Age of a single target after which the reference rests.
 
     Attributes:
-        ramp: May change at any time.
-        ramp_speed: May change at any time.
-        timeout: May change at any time.
-        kind: What is followed: `held`, `target` or `trajectory`.
+        ramp: May be changed at any time.
+        ramp_speed: May be changed at any time.
+        timeout: May be changed at any time.
+        kind: `held`, `target` or `trajectory`.
     """
 
     def __init__(
@@ -71,29 +72,31 @@ class ReferenceGenerator:
 
     @property
     def trajectory(self) -> ReferenceTrajectory:
-        """The trajectory that is followed; another object for another trajectory."""
+        """The trajectory that is followed; every new trajectory is a new object."""
         return self._trajectory
 
     @property
     def end(self) -> float:
-        """When the reference comes to rest [s]."""
+        """Time at which the reference comes to rest [s]."""
         return max(self._trajectory.end, -np.inf if self._offset is None else self._offset.end)
 
     def hold(self, t: float, q: Array, v: Array) -> None:
         """Come to rest at a measured position, from a measured velocity.
 
         Args:
-            t: Now [s].
-            q: [rad or m], shape (n,).
-            v: [rad/s or m/s], shape (n,).
+            t: Present time [s].
+            q: Measured positions [rad or m], shape (n,).
+            v: Measured velocities [rad/s or m/s], shape (n,).
         """
-        self.kind, self._last_target, self._interval = "held", -np.inf, 0.0
+        self.kind = "held"
+        self._last_target = -np.inf
+        self._interval = 0.0
         self._trajectory = ReferenceTrajectory(np.array([t]), q[None, :].copy())
         self._limits.begin(q)
         self._fade(t, q, v)
 
     def resume(self, t: float, q: Array, v: Array) -> None:
-        """Continue with the followed trajectory from a measured state, after the loop was open."""
+        """Continue with the trajectory from a measured state, after the loop was open."""
         if self.kind == "held":
             self.hold(t, q, v)
         else:
@@ -101,24 +104,29 @@ class ReferenceGenerator:
             self._fade(t, q, v)
 
     def take_over(self, t: float, other: "ReferenceGenerator") -> None:
-        """Continue at a time [s] the trajectory of another generator of the same joints."""
+        """Continue the trajectory of another generator of the same joints from a time [s] on."""
         self._limits.begin(other.at(t).q)
-        self.kind, self._trajectory, self._offset = other.kind, other._trajectory, other._offset
-        self._last_target, self._interval = other._last_target, other._interval
+        self.kind = other.kind
+        self._trajectory = other._trajectory
+        self._offset = other._offset
+        self._last_target = other._last_target
+        self._interval = other._interval
 
     def aim(self, t: float, target: Reference) -> None:
-        """Take a single target, the next of a stream perhaps.
+        """Follow a single target, which may be the next one of a stream.
 
         Args:
-            t: Now [s].
-            target: Where the joints should be when the next target comes.
+            t: Present time [s].
+            target: State that the joints should have when the next target comes.
 
         Raises:
-            TargetError: Not finite, beyond a limit, or too far away to be reached.
+            TargetError: The target is not finite, beyond a limit, or too far away.
         """
         self._limits.check(np.array([t]), target.q[None, :], target.v[None, :])
         now = self.at(t)
-        since = t - self._last_target or self._interval  # a second one at once replaces the first
+        since = (
+            t - self._last_target or self._interval
+        )  # a second target at once replaces the first
         is_stream = 0.0 < since < self.timeout
         since = since if is_stream else self.ramp
         jump = target.q - now.q - 0.5 * since * (now.v + target.v)
@@ -133,61 +141,65 @@ class ReferenceGenerator:
             np.array([now.v, target.v, still]),
             np.array([now.a if is_stream and duration == since else still, target.a, still]),
         )
-        self._offset, self._last_target, self.kind = None, t, "target"
+        self._offset = None
+        self._last_target = t
+        self.kind = "target"
         self._interval = since
 
     def follow(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
     ) -> None:
-        """Take a whole trajectory, by `plan` and `take`; the one before ends.
+        """Plan a trajectory and follow it instead of the previous one.
 
         Raises:
-            TargetError: The trajectory is refused by `plan`.
+            TargetError: `plan` refuses the trajectory.
         """
         self.take(t, self.plan(t, times, q, v, a))
 
     def take(self, t: float, trajectory: ReferenceTrajectory) -> None:
-        """Follow, at a time [s], a trajectory that `plan` made; the one before ends."""
+        """Follow a trajectory of `plan` from a time [s] on, instead of the previous one."""
         now = self.at(t)
-        self._trajectory, self._last_target, self.kind = trajectory, -np.inf, "trajectory"
+        self._trajectory = trajectory
+        self._last_target = -np.inf
+        self.kind = "trajectory"
         self._fade(t, now.q, now.v)
 
     def plan(
         self, t: float, times: Array, q: Array, v: Array | None = None, a: Array | None = None
     ) -> ReferenceTrajectory:
-        """The trajectory through given points, within the limits; nothing is followed yet.
+        """Return a trajectory through points within the limits, without following it yet.
 
         Args:
-            t: Now [s].
-            times: Of the points [s], shape (k,). Where all of them lie ahead the reference goes
-                to the first one in the time that is left, or ramps to it where that is too short.
-            q: [rad or m], shape (k, n).
-            v: [rad/s or m/s], shape (k, n), or None.
-            a: [rad/s^2 or m/s^2], shape (k, n), or None.
+            t: Present time [s].
+            times: Times of the points [s], shape (k,). If all lie ahead, the reference goes to the
+                first point in the remaining time, or ramps to it if that is too short.
+            q: Positions [rad or m], shape (k, n).
+            v: Velocities [rad/s or m/s], shape (k, n), or None.
+            a: Accelerations [rad/s^2 or m/s^2], shape (k, n), or None.
 
         Returns:
-            What `take` follows.
+            The trajectory, for `take`.
 
         Raises:
-            TargetError: Times do not increase or are over, something is not finite, or the
-                trajectory leaves a limit, between the points too.
+            TargetError: The times do not increase or are over, a value is not finite, or the
+                trajectory passes a limit, perhaps between the points.
         """
-        given = [part for part in (times, q, v, a) if part is not None]
-        if not all(np.isfinite(part).all() for part in given):
-            raise TargetError("trajectory refused: not finite")
+        values = [part for part in (times, q, v, a) if part is not None]
+        if not all(np.isfinite(part).all() for part in values):
+            raise TargetError("trajectory refused: a value is not finite")
         if not (len(times) and (np.diff(times) > 0.0).all()):
             raise TargetError("trajectory refused: the times of its points must increase")
         if times[-1] < t:
             raise TargetError(
-                f"trajectory refused: it ended {t - times[-1]:.3f} s ago; does its stamp fit?"
+                f"trajectory refused: it ended {t - times[-1]:.3f} s ago; check its stamp"
             )
         if times[0] - t > _FARTHEST:
             raise TargetError(
                 f"trajectory refused: it begins in {times[0] - t:.6g} s, accepted are "
-                f"{_FARTHEST:g} s; is its stamp of the same clock (use_sim_time)?"
+                f"{_FARTHEST:g} s; check that its stamp is of the same clock (use_sim_time)"
             )
         now = self.at(t)
-        joined = self._led_in(t, now, times, q, v, a) if times[0] > t else None
+        joined = self._join(t, now, times, q, v, a) if times[0] > t else None
         trajectory = joined or ReferenceTrajectory(times, q, v, a)
         if joined is None:
             self._limits.check(*trajectory.samples())
@@ -195,25 +207,25 @@ class ReferenceGenerator:
         return trajectory
 
     def at(self, t: float) -> Reference:
-        """The reference at a time [s]."""
+        """Return the reference at a time [s]."""
         ref, offset = self._trajectory.at(t), self._offset
         if offset is not None and t < offset.end:
-            away = offset.at(t)
-            ref = Reference(ref.q + away.q, ref.v + away.v, ref.a + away.a)
-        return self._limits.kept(ref)
+            shift = offset.at(t)
+            ref = Reference(ref.q + shift.q, ref.v + shift.v, ref.a + shift.a)
+        return self._limits.clip(ref)
 
     def state(self, t: float) -> str:
-        """The followed reference at a time [s], for people."""
+        """Describe the reference at a time [s], for people."""
         if self.kind == "target" and t - self._last_target > self.timeout:
             return f"target of {t - self._last_target:.3g} s ago: held"
         if self.kind == "trajectory" and t >= self._trajectory.end:
             return "end of the trajectory: held"
         return self.kind
 
-    def _led_in(
+    def _join(
         self, t: float, now: Reference, times: Array, q: Array, v: Array | None, a: Array | None
     ) -> ReferenceTrajectory | None:
-        """The trajectory from the present reference; None where it would leave a limit."""
+        """Return the trajectory from the present reference on; None if it would pass a limit."""
         times, q = np.append(t, times), np.vstack([now.q, q])
         if v is None:
             v, a = slopes(times, q), None
@@ -229,44 +241,44 @@ class ReferenceGenerator:
         return trajectory
 
     def _fade(self, t: float, q: Array, v: Array) -> None:
-        """Begin at a position with a velocity, and let the offset to the trajectory decay."""
+        """Start from a position and a velocity, and let the offset to the trajectory decay."""
         ref = self._trajectory.at(t)
-        away, rate, still = q - ref.q, v - ref.v, np.zeros(len(q))
-        if not (away.any() or rate.any()):
+        shift, rate, zero = q - ref.q, v - ref.v, np.zeros(len(q))
+        if not (shift.any() or rate.any()):
             self._offset = None
             return
-        times = np.array([t, t + max(self._ramp_time(away, self.ramp), _SHORTEST)])
+        times = np.array([t, t + max(self._ramp_time(shift, self.ramp), _SHORTEST)])
         self._offset = ReferenceTrajectory(
-            times, np.array([away, still]), np.array([rate, still]), np.array([still, still])
+            times, np.array([shift, zero]), np.array([rate, zero]), np.array([zero, zero])
         )
 
     def _ramp_time(self, distance: Array, least: float) -> float:
-        """Time [s] for a distance at the speed of ramps."""
+        """Return the time [s] for a distance at the speed of ramps."""
         speed = self.ramp_speed * self._limits.fastest
         return max(least, float((PEAK_SPEED * np.abs(distance) / speed).max(initial=0.0)))
 
 
 def _check_near(duration: float) -> None:
-    """Refuse a target so far away that numbers end on the way: a ramp of that duration [s]."""
+    """Refuse a ramp of a duration [s] that only a mistaken target needs."""
     if not duration <= _FARTHEST:
         raise TargetError(
-            f"reference refused: the way to it takes {duration:.3g} s at the speed of ramps, "
+            f"reference refused: a ramp to it takes {duration:.3g} s at the speed of ramps, "
             f"accepted are {_FARTHEST:g} s"
         )
 
 
 class Selection(NamedTuple):
-    """How values of a reference become those of the controlled joints.
+    """Map from the values of a reference to those of the controlled joints.
 
         q = (values[columns] - offset) / factor,   v = rates[columns] / factor
 
-    A joint that the reference does not give has column 0, which means nothing.
+    The column of a joint that the reference does not contain is 0 and has no meaning.
 
     Attributes:
-        is_given: Which of the controlled joints the reference gives, shape (n,).
-        columns: Of the reference, shape (n,).
-        factor: Shape (n,).
-        offset: [rad or m], shape (n,).
+        is_given: Whether the reference contains a controlled joint, shape (n,).
+        columns: Columns of the reference, shape (n,).
+        factor: Factors of linear couplings, shape (n,).
+        offset: Offsets of linear couplings [rad or m], shape (n,).
         note: Joints that were mapped or left out, for people; empty without any.
     """
 
@@ -277,22 +289,23 @@ class Selection(NamedTuple):
     note: str
 
     def positions(self, values: Array) -> Array:
-        """Positions of the controlled joints from those of the reference, shape (.., n)."""
+        """Return positions of the controlled joints, shape (.., n), for those of the reference."""
         return (values[..., self.columns] - self.offset) / self.factor
 
     def rates(self, values: Array) -> Array:
-        """Velocities or accelerations of the controlled joints, shape (.., n)."""
+        """Return velocities or accelerations of the controlled joints, shape (.., n)."""
         return values[..., self.columns] / self.factor
 
 
 class ReferenceMap:
-    """Selects the controlled joints from references of any order.
+    """Selection of the controlled joints from references in any order.
 
-    A joint that follows a controlled one by a linear function may stand for it; beside it, it is
-    left out, since the coupling decides its position.
+    A reference may contain, in place of a controlled joint, a joint that follows it by a linear
+    coupling. If it contains both, the coupled joint is ignored.
 
     Args:
-        couplings: Those of the scene.
+        names: The controlled joints.
+        couplings: Couplings of the scene.
     """
 
     def __init__(self, names: Sequence[str], couplings: Couplings) -> None:
@@ -308,32 +321,32 @@ class ReferenceMap:
                 factor, offset = pair.function.factor * factor, pair.function.factor * offset
                 self._linear[name] = (root, factor, offset + pair.function.offset)
 
-    def select(self, given: Sequence[str], *, partial: bool = False) -> Selection:
-        """How to read a reference of these names.
+    def select(self, labels: Sequence[str], *, partial: bool = False) -> Selection:
+        """Return the map for a reference with these names.
 
         Args:
-            given: Names, one a column.
-            partial: Whether controlled joints may be left out.
+            labels: Joint of each column.
+            partial: Whether controlled joints may be missing.
 
         Raises:
-            TargetError: A name twice or unknown, a controlled joint that none of them gives and
-                that must be there, or a joint that follows one that is left out.
+            TargetError: A name is repeated or unknown, a controlled joint is missing, or a joint
+                follows one that is missing.
         """
-        self._check(given)
+        self._check(labels)
         columns, factors, offsets, notes, missing = [], [], [], [], []
         for name in self._names:
-            source, factor, offset = self._source(name, given)
+            source, factor, offset = self._source(name, labels)
             if source is None:
                 missing.append(name)
             elif source != name:
                 notes.append(f"{name} from {source}")
-            columns.append(0 if source is None else list(given).index(source))
+            columns.append(0 if source is None else list(labels).index(source))
             factors.append(factor)
             offsets.append(offset)
         is_given = np.array([name not in missing for name in self._names])
-        self._refuse_missing(missing, given, partial=partial)
-        used = {given[column] for column in np.array(columns)[is_given]}
-        notes += [f"{name} left out: it follows" for name in given if name not in used]
+        self._refuse_missing(missing, labels, partial=partial)
+        used = {labels[column] for column in np.array(columns)[is_given]}
+        notes += [f"{name} left out: it follows" for name in labels if name not in used]
         notes += [f"{', '.join(missing)} held: not given"] if missing else []
         return Selection(
             is_given,
@@ -343,36 +356,36 @@ class ReferenceMap:
             "; ".join(notes),
         )
 
-    def _check(self, given: Sequence[str]) -> None:
-        if len(set(given)) != len(given) or not given:
+    def _check(self, labels: Sequence[str]) -> None:
+        if len(set(labels)) != len(labels) or not labels:
             raise TargetError("reference refused: names are empty or repeated")
-        unknown = [n for n in given if n not in self._names and n not in self._roots]
+        unknown = [n for n in labels if n not in self._names and n not in self._roots]
         if unknown:
             raise TargetError(
                 f"reference refused: {_first(unknown)} not controlled; accepted: "
-                f"{', '.join(self._names)}, or what follows them"
+                f"{', '.join(self._names)}, or joints that follow them"
             )
 
     def _refuse_missing(
-        self, missing: Sequence[str], given: Sequence[str], *, partial: bool
+        self, missing: Sequence[str], labels: Sequence[str], *, partial: bool
     ) -> None:
-        """A joint that follows one that is left out would be ignored in silence."""
+        """Refuse missing joints, and joints that follow them, which would be ignored silently."""
         if missing and not partial:
             raise TargetError(
                 f"reference refused: {missing[0]} is missing; accepted: {', '.join(self._names)}"
             )
-        for name in given:
+        for name in labels:
             if self._roots.get(name) in missing:
                 raise TargetError(
                     f"reference refused: {name} follows {self._roots[name]} by a function that is "
                     f"not linear; give {self._roots[name]}"
                 )
 
-    def _source(self, name: str, given: Sequence[str]) -> tuple[str | None, float, float]:
-        """The name that gives a controlled joint, with factor and offset; None without one."""
-        if name in given:
+    def _source(self, name: str, labels: Sequence[str]) -> tuple[str | None, float, float]:
+        """Return the label of a controlled joint, with factor and offset; None without one."""
+        if name in labels:
             return name, 1.0, 0.0
-        for source in given:
+        for source in labels:
             root, factor, offset = self._linear.get(source, ("", 1.0, 0.0))
             if root == name:
                 return source, factor, offset
@@ -380,6 +393,6 @@ class ReferenceMap:
 
 
 def _first(names: Sequence[str]) -> str:
-    """Some names for people, of any number and length."""
+    """Shorten a list of names for people."""
     some = ", ".join(f"{name:.64}" for name in names[:_MOST_NAMES])
     return some if len(names) <= _MOST_NAMES else f"{some} and {len(names) - _MOST_NAMES} more"

@@ -5,13 +5,13 @@ Riccati equation backwards,
 
     -S' = A' S + S A - S B R^-1 B' S + Q,    K = R^-1 B' S
 
-and K is the gain. At the end of the motion S is that of holding the last state for ever, where
-efforts can. A motion of one phase that repeats has the S that repeats with it,
-S(end) = strike' S(begin) strike, with the derivative `strike` of the state after a strike by the
-one before it.
+and K is the gain. At the end of the motion, S is the cost of holding the last state for ever, if
+efforts can hold it. A motion of one phase that repeats has a repeating S,
+S(end) = strike' S(begin) strike, where `strike` is the derivative of the state after the strike of
+a foot by the state before it.
 
-Contacts that a phase holds leave efforts a room before they open or slip; the costs of efforts
-keep to a small share of it.
+Efforts can change by the contact clearance before a closed contact of the phase opens or slips;
+the costs of efforts are chosen so that they use a small share of it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, ModelError, SolveError
-from mbd_ros.features.control.tracking_tube import DisturbedMotion, held_room
+from mbd_ros.features.control.tracking_tube import DisturbedMotion, contact_clearance
 from mbd_ros.methods.control.contract import EffortBox
 from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPlan
 from mbd_ros.methods.events.crossings import Crossing
@@ -36,36 +36,36 @@ from mbd_ros.scene.phased_systems import build_phased_system
 from mbd_ros.scene.runs.simulation import build_simulation
 
 _STEP = 0.1  # length of a step times the size of the Hamiltonian matrix: errors of 1e-7
-_RESIDUAL = 1.0e-6  # share of the Hamiltonian matrix that the steady equation may leave
+_RESIDUAL = 1.0e-6  # accepted residual of the steady equation, per Hamiltonian matrix
 _MOST_STEPS = 100_000  # between two samples of a motion
 BEFORE = 4  # samples before the end, from which deviations are followed through the strike
-_STRIKE_STEP = 1.0e-4  # of a deviation
-_LARGEST_GAP = 1.0e-2  # deviation with which a motion counts as one that begins anew
-_HOLDS = 4  # of an interval between samples, in each of which efforts are held
+_STRIKE_STEP = 1.0e-4  # deviation of the difference quotients
+_LARGEST_GAP = 1.0e-2  # between the start of a motion and its end after the strike
+_HOLDS = 4  # steps with constant efforts between two samples
 _LATEST_STRIKE = 1.2  # durations until a strike must have come
-_SETTLED = 1.0e-6  # relative change of costs that repeat
-_MOST_STRIDES = 200  # until they do
+_SETTLED = 1.0e-6  # relative change of costs that count as repeating
+_MOST_STRIDES = 200  # until costs repeat
 _EFFORT_STEP = 1.0e-4  # of the largest effort: forces are linear in efforts, cones are not
-_SHARE_OF_ROOM = 0.05  # of the room: several inputs act at once, and positions are off besides
+_SHARE_OF_CLEARANCE = 0.05  # several inputs act at once, and positions deviate as well
 _AT_REST = 1.0e-3  # velocity of a plan that ends at rest, over its largest
 _HOLD_AFTER = 1.0e-3  # s, after the end of a motion until its last state is held
-_WIDEST = 10.0  # times the tolerated deviations, where the search of a tube begins
-_LEAST_EFFORT = 1.0e-6  # share of the largest effort that an input is taken to have at least
+_WIDEST = 10.0  # times the tolerated deviations, where the search for a tube starts
+_LEAST_EFFORT = 1.0e-6  # of the largest effort: smallest size of an input
 
 
-def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated:
-    """The plan of a motion with gains that lead back to it.
+def regulate(scene: Scene, motion: ReferenceMotion, tolerated: Tolerated) -> RegulatedMotion:
+    """Compute the plan of a motion, with gains that lead back to it.
 
     Raises:
         ModelError: Loops come too near to a toggle.
         SolveError: The motion changes too fast.
     """
     system = _system(scene)
-    (times, states, u), can_hold = (motion, False) if scene.phases else _held(system, motion)
+    (times, states, u), can_hold = (motion, False) if scene.phases else _hold_end(system, motion)
     slopes = IndependentSlopes(system, states)
-    pairs = [slopes.at(y, one) for y, one in zip(states, u, strict=True)]
+    pairs = [slopes.at(y, efforts) for y, efforts in zip(states, u, strict=True)]
     A, B = (np.stack(list(each)) for each in zip(*pairs, strict=True))
-    limits = np.concatenate([one.limits() for one in scene.actuators])
+    limits = np.concatenate([actuator.limits() for actuator in scene.actuators])
     demands = crossings_of(scene)
     usual = np.minimum(_usual_efforts(u, limits), tolerated_efforts(system, demands, states, u))
     Q, R = _costs(len(slopes.chosen), usual, tolerated)
@@ -81,14 +81,15 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
     joints = tuple(names[i] for i in chosen)
     plan = TrackingPlan(joints, tuple(scene.actuated), times, q, v, u, gain, S)
     rests = steady is not None and can_hold
-    given = system, states, plan, slopes, EffortBox(-limits, limits), duration * rests
+    box = EffortBox(-limits, limits)
+    disturbed = DisturbedMotion(system, states, plan, slopes, box, duration * rests, demands)
     fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
     widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
-    return Regulated(plan, DisturbedMotion(*given, demands), rests, fastest, widest)
+    return RegulatedMotion(plan, disturbed, rests, fastest, widest)
 
 
 def _system(scene: Scene) -> Any:
-    """With exact derivatives where these can be compiled; that of its phase, where it has one."""
+    """Return the system of the scene or of its phase, with exact derivatives if these compile."""
     from mbd_ros.scene.runs.compiling import compiled_system
 
     if scene.phases:
@@ -99,8 +100,8 @@ def _system(scene: Scene) -> Any:
         return scene.system()
 
 
-def _held(system: Any, motion: Recorded) -> tuple[Recorded, bool]:
-    """The motion with its last state held once more, where efforts can, and whether they can."""
+def _hold_end(system: Any, motion: ReferenceMotion) -> tuple[ReferenceMotion, bool]:
+    """Append a sample at rest if efforts can hold the last state; also return whether they can."""
     last, u = motion.states[-1], motion.u[-1]
     speeds = np.abs(np.stack([y.v for y in motion.states]))
     if np.abs(last.v).max() > _AT_REST * speeds.max():
@@ -112,19 +113,20 @@ def _held(system: Any, motion: Recorded) -> tuple[Recorded, bool]:
     change = np.linalg.lstsq(by_u, -a, rcond=None)[0]
     if np.abs(by_u.dot(change) + a).max() > _AT_REST * max(1.0, float(np.abs(a).max())):
         return motion, False
-    held = np.concatenate([motion.u, [u + change]])
-    return Recorded(np.append(motion.times, last.t), [*motion.states, last], held), True
+    efforts = np.concatenate([motion.u, [u + change]])
+    times = np.append(motion.times, last.t)
+    return ReferenceMotion(times, [*motion.states, last], efforts), True
 
 
 def crossings_of(scene: Scene) -> tuple[Crossing, ...]:
-    """Numbers of the forces of held contacts, positive while they push and stick."""
+    """Return functions of the contact forces that are positive while contacts push and stick."""
     if not scene.phases:
         return ()
-    return tuple(one.crossing for one in build_phased_system(scene).phases[0].demands)
+    return tuple(demand.crossing for demand in build_phased_system(scene).phases[0].demands)
 
 
 def _usual_efforts(u: Array, limits: Array) -> Array:
-    """The limit of each input, or else its largest effort."""
+    """Return the limit of each input, or its largest effort if it has no limit."""
     used = np.abs(u).max(axis=0)
     used = np.maximum(used, _LEAST_EFFORT * used.max()) if used.any() else np.ones(len(used))
     return np.where(np.isfinite(limits), limits, used)
@@ -133,29 +135,29 @@ def _usual_efforts(u: Array, limits: Array) -> Array:
 def tolerated_efforts(
     system: Any, crossings: Sequence[Crossing], states: Sequence[State], u: Array
 ) -> Array:
-    """Deviations of each effort that use up a small share of the room, shape (k,); inf without.
+    """Return deviations of each effort that use a small share of the contact clearance, (k,).
 
     Args:
-        system: Of the phase.
-        crossings: Of its contacts.
-        states: Of what it integrates.
+        system: System of the phase.
+        crossings: Functions of its contact forces; without any, deviations are inf.
+        states: States that the system integrates.
         u: Efforts, shape (n, k).
     """
-    found = np.full(u.shape[1], np.inf)
+    deviations = np.full(u.shape[1], np.inf)
     step = _EFFORT_STEP * (float(np.abs(u).max()) or 1.0)
     for y, now in zip(states, u, strict=True) if crossings else ():
-        room = np.maximum(held_room(system, crossings, y, now), 0.0)
-        for i, way in enumerate(step * np.eye(len(found))):
-            sides = [held_room(system, crossings, y, now + sign * way) for sign in (1.0, -1.0)]
-            slopes = np.max([np.abs(one - room) for one in sides], axis=0) / step
-            found[i] = min(
-                found[i], _SHARE_OF_ROOM * float((room / np.maximum(slopes, TINY)).min())
-            )
-    return found
+        clearance = np.maximum(contact_clearance(system, crossings, y, now), 0.0)
+        for i, change in enumerate(step * np.eye(len(deviations))):
+            inputs = now + change, now - change
+            sides = [contact_clearance(system, crossings, y, each) for each in inputs]
+            slopes = np.max([np.abs(side - clearance) for side in sides], axis=0) / step
+            largest = float((clearance / np.maximum(slopes, TINY)).min())
+            deviations[i] = min(deviations[i], _SHARE_OF_CLEARANCE * largest)
+    return deviations
 
 
 def _costs(d: int, efforts: Array, tolerated: Tolerated) -> tuple[Array, Array]:
-    """Costs of states and efforts: one over the squares of what is tolerated."""
+    """Return the cost matrices: one over the squared tolerated deviations."""
     sizes = np.repeat([tolerated.position, tolerated.velocity], d)
     if tolerated.effort is not None:
         efforts = np.full(len(efforts), tolerated.effort)
@@ -163,12 +165,12 @@ def _costs(d: int, efforts: Array, tolerated: Tolerated) -> tuple[Array, Array]:
 
 
 def repeating_cost(times: Array, A: Array, B: Array, Q: Array, R: Array, strike: Array) -> Array:
-    """Cost to go of a motion that repeats for ever, shape (n, 2 d, 2 d).
+    """Compute the cost to go of a motion that repeats for ever, shape (n, 2 d, 2 d).
 
-    Backwards from S(end) = strike' S(begin) strike, until it repeats too.
+    It is integrated backwards from S(end) = strike' S(begin) strike until it repeats.
 
     Raises:
-        SolveError: It does not settle: the inputs cannot make the motion stable.
+        SolveError: It does not settle, since the inputs cannot make the motion stable.
     """
     n, S_end = len(times) - BEFORE + 1, Q
     for _ in range(_MOST_STRIDES):
@@ -182,37 +184,37 @@ def repeating_cost(times: Array, A: Array, B: Array, Q: Array, R: Array, strike:
 def strike_slope(
     scene: Scene, times: Array, states: list[State], u: Array, slopes: IndependentSlopes
 ) -> Array:
-    """Deviations with which a step begins by those near the end of the one before.
+    """Differentiate the state after the strike of a foot by a state shortly before it.
 
-    The step begins when the foot strikes, whenever that is: shape (2 d, 2 d), by central
-    differences of simulations from a few samples before the end, efforts as planned.
+    The derivative, shape (2 d, 2 d), includes the change of the time of the strike. It is a
+    central difference of simulations with planned efforts, from a few samples before the end.
 
     Raises:
-        DataError: The motion does not begin anew at its end.
+        DataError: The state after the strike is not the start of the motion.
     """
     simulation, first = build_simulation(scene), states[-BEFORE]
     d = len(slopes.chosen)
 
     def after(e: Array) -> Array:
-        x = _struck(simulation, times, u, slopes.beside(first, e))
+        x = _state_after_strike(simulation, times, u, slopes.beside(first, e))
         at = slopes.chosen
         return np.concatenate([(x.q - states[0].q)[at], (x.v - states[0].v)[at]])
 
     if np.abs(after(np.zeros(2 * d))).max() > _LARGEST_GAP:
-        raise DataError("the motion does not begin anew where its phase ends")
-    ways = _STRIKE_STEP * np.eye(2 * d)
-    return np.stack([(after(e) - after(-e)) / (2.0 * _STRIKE_STEP) for e in ways], axis=1)
+        raise DataError("the motion does not repeat: its start is not the state after its end")
+    steps = _STRIKE_STEP * np.eye(2 * d)
+    return np.stack([(after(e) - after(-e)) / (2.0 * _STRIKE_STEP) for e in steps], axis=1)
 
 
-def _struck(simulation: Any, times: Array, u: Array, y: State) -> State:
-    """The state just after the strike, of what is integrated, under planned efforts."""
+def _state_after_strike(simulation: Any, times: Array, u: Array, y: State) -> State:
+    """Simulate with planned efforts up to the strike, and return the state just after it."""
     period = float(times[-1] - times[-2]) / _HOLDS
     y = simulation.start(simulation.system.systems[0].expand(y))
     simulation.stepper.take_events()
     while y.t < _LATEST_STRIKE * times[-1]:
         middle = y.t + 0.5 * period
-        held = np.array([np.interp(middle, times, one) for one in u.T])
-        y = simulation.advance(y, held, y.t + period)
+        efforts = np.array([np.interp(middle, times, column) for column in u.T])
+        y = simulation.advance(y, efforts, y.t + period)
         for event in simulation.stepper.take_events():
             after: State = event.after
             return after
@@ -220,19 +222,19 @@ def _struck(simulation: Any, times: Array, u: Array, y: State) -> State:
 
 
 def _names(scene: Scene) -> list[str]:
-    """Independent joints in the order of what the system integrates."""
+    """Return the independent joints in the order in which the system integrates them."""
     names = scene.couplings.independent
     places = IndependentCoordinates(scene.robot, scene.couplings).joint_w
     return [names[i] for i in np.argsort(places)]
 
 
 def _unit_level(S: Array, costs: Array) -> float:
-    """Mean cost to go of one tolerated deviation."""
+    """Return the mean cost to go of one tolerated deviation."""
     return float((np.einsum("nii->ni", S) / costs).mean())
 
 
-class Recorded(NamedTuple):
-    """A motion in what the system integrates, at times [s], with its efforts."""
+class ReferenceMotion(NamedTuple):
+    """States that the system integrates, at times [s], and their efforts."""
 
     times: Array
     states: list[State]
@@ -240,12 +242,13 @@ class Recorded(NamedTuple):
 
 
 class Tolerated(NamedTuple):
-    """Deviations that cost as much as one another.
+    """Tolerated deviations, which have equal costs.
 
     Attributes:
-        position: [rad or m].
-        velocity: [rad/s or m/s].
-        effort: [N·m or N]; None for the limit of each input, or else its largest in the motion.
+        position: Deviation of positions [rad or m].
+        velocity: Deviation of velocities [rad/s or m/s].
+        effort: Deviation of efforts [N·m or N]; None for the limit of each input, or its largest
+            effort in the motion.
     """
 
     position: float = 0.1
@@ -253,15 +256,15 @@ class Tolerated(NamedTuple):
     effort: float | None = None
 
 
-class Regulated(NamedTuple):
-    """A plan, and what a search of its tube needs.
+class RegulatedMotion(NamedTuple):
+    """A plan, and the quantities that the search for its tube needs.
 
     Attributes:
-        plan: Without a tube.
-        disturbed: Motion beside it.
-        rests: Whether it ends at rest, where it can be held.
-        fastest: Fastest rate of the loop [1/s].
-        widest: Cost to go of deviations that nobody tolerates.
+        plan: The plan, still without a tube.
+        disturbed: Simulation of motions beside the plan.
+        rests: Whether the motion ends at rest and can be held there.
+        fastest: Fastest rate of the closed loop [1/s].
+        widest: Cost to go at which the search starts.
     """
 
     plan: TrackingPlan
@@ -272,18 +275,19 @@ class Regulated(NamedTuple):
 
 
 def riccati_backwards(times: Array, A: Array, B: Array, Q: Array, R: Array, S_end: Array) -> Array:
-    """Cost to go of a linear motion, from its end to its begin.
+    """Integrate the cost to go of a linear motion from its end to its start.
 
         -S' = A' S + S A - S B R^-1 B' S + Q,   S(end) = S_end
 
-    of x' = A x + B u, straight lines between samples, with the cost x'Q x + u'R u. S = Y X^-1
-    where X and Y follow the linear Hamiltonian system, so that large S need no short steps.
+    for x' = A x + B u, linear between samples, with the cost x'Q x + u'R u. S = Y X^-1, where X
+    and Y follow the linear Hamiltonian system, so that a large S needs no short steps.
+
     Source: H. Kwakernaak, R. Sivan, Linear Optimal Control Systems, 1972, sec. 3.3.
 
     Args:
-        times: [s], increasing, shape (n,).
-        A: Shape (n, m, m).
-        B: Shape (n, m, k).
+        times: Increasing times [s], shape (n,).
+        A: Derivatives by the states, shape (n, m, m).
+        B: Derivatives by the inputs, shape (n, m, k).
         Q: Cost of states, symmetric, shape (m, m).
         R: Cost of inputs, symmetric, positive definite, shape (k, k).
         S_end: Cost of the last state, shape (m, m).
@@ -292,7 +296,7 @@ def riccati_backwards(times: Array, A: Array, B: Array, Q: Array, R: Array, S_en
         S, symmetric, shape (n, m, m).
 
     Raises:
-        SolveError: It takes too many steps.
+        SolveError: The equation needs too many steps.
     """
     scale = _balance(B, Q, R)
     H = np.stack([_hamiltonian(a, b, Q, R, scale) for a, b in zip(A, B, strict=True)])
@@ -301,14 +305,14 @@ def riccati_backwards(times: Array, A: Array, B: Array, Q: Array, R: Array, S_en
     m = A.shape[1]
     for i in range(len(times) - 1, 0, -1):
         begin = np.concatenate([np.eye(m), S[i] / scale])
-        Z = _carried(begin, H[i], H[i - 1], float(times[i] - times[i - 1]))
-        found = scale * np.linalg.solve(Z[:m].T, Z[m:].T)
-        S[i - 1] = 0.5 * (found + found.T)
+        Z = _integrate_back(begin, H[i], H[i - 1], float(times[i] - times[i - 1]))
+        unsymmetric = scale * np.linalg.solve(Z[:m].T, Z[m:].T)
+        S[i - 1] = 0.5 * (unsymmetric + unsymmetric.T)
     return S
 
 
 def _balance(B: Array, Q: Array, R: Array) -> float:
-    """Unit of costates in which both parts of the Hamiltonian matrix are of one size."""
+    """Return the unit of costates for which both parts of the Hamiltonian matrix have one size."""
     pushes = np.abs(B @ np.linalg.solve(R, np.swapaxes(B, 1, 2))).max()
     return math.sqrt(float(np.abs(Q).max() / pushes)) if pushes > 0.0 else 1.0
 
@@ -318,11 +322,11 @@ def _hamiltonian(A: Array, B: Array, Q: Array, R: Array, scale: float) -> Array:
     return np.block([[A, -scale * pushes], [-Q / scale, -A.T]])
 
 
-def _carried(Z: Array, H_late: Array, H_early: Array, length: float) -> Array:
-    """Z' = H Z by the classical Runge-Kutta method, backwards through an interval.
+def _integrate_back(Z: Array, H_late: Array, H_early: Array, length: float) -> Array:
+    """Integrate Z' = H Z backwards through an interval by the classical Runge-Kutta method.
 
     Raises:
-        SolveError: It takes too many steps.
+        SolveError: The interval needs too many steps.
     """
     size = max(np.abs(H_late).sum(axis=1).max(), np.abs(H_early).sum(axis=1).max())
     count = max(1, math.ceil(length * size / _STEP))
@@ -343,19 +347,20 @@ def _carried(Z: Array, H_late: Array, H_early: Array, length: float) -> Array:
 
 
 def riccati_steady(A: Array, B: Array, Q: Array, R: Array) -> Array | None:
-    """The S of A' S + S A - S B R^-1 B' S + Q = 0 that makes the loop stable.
+    """Solve A' S + S A - S B R^-1 B' S + Q = 0 for the S that makes the closed loop stable.
 
-    From the stable subspace of the Hamiltonian matrix. Source: J. E. Potter, SIAM J. Appl. Math.
-    14, 1966, 496-501.
+    S follows from the stable subspace of the Hamiltonian matrix.
+
+    Source: J. E. Potter, SIAM J. Appl. Math. 14, 1966, 496-501.
 
     Args:
-        A: Shape (m, m).
-        B: Shape (m, k).
+        A: Derivative by the state, shape (m, m).
+        B: Derivative by the inputs, shape (m, k).
         Q: Cost of states, symmetric, shape (m, m).
         R: Cost of inputs, symmetric, positive definite, shape (k, k).
 
     Returns:
-        Shape (m, m); None where the inputs cannot make the motion stable.
+        S, shape (m, m); None if the inputs cannot make the motion stable.
     """
     m, scale = len(A), _balance(B[None], Q, R)
     H = _hamiltonian(A, B, Q, R, scale)
@@ -367,50 +372,54 @@ def riccati_steady(A: Array, B: Array, Q: Array, R: Array) -> Array | None:
         return None
     S = 0.5 * scale * (S + S.T)
     gain = np.linalg.solve(R, B.T.dot(S))
-    left = A.T.dot(S) + S.dot(A) - gain.T.dot(R).dot(gain) + Q
-    is_closed = np.abs(left).max() <= _RESIDUAL * (np.abs(A.T.dot(S)).max() + np.abs(Q).max())
+    residual = A.T.dot(S) + S.dot(A) - gain.T.dot(R).dot(gain) + Q
+    is_solved = np.abs(residual).max() <= _RESIDUAL * (np.abs(A.T.dot(S)).max() + np.abs(Q).max())
     is_stable = bool((np.linalg.eigvals(A - B.dot(gain)).real < 0.0).all())
-    return S if is_closed and is_stable and np.linalg.eigvalsh(S)[0] >= 0.0 else None
+    return S if is_solved and is_stable and np.linalg.eigvalsh(S)[0] >= 0.0 else None
 
 
 def check_scene(scene: Scene) -> None:
-    """Refuse what no gains of torques lead.
+    """Refuse scenes that the regulator does not cover.
 
     Raises:
-        DataError: Names what is in the way.
+        DataError: The scene has a free base, internal states, several phases, or an actuator that
+            does not take the torque of its joint.
     """
     if scene.robot.floating or scene.internals.names or len(scene.phases or ()) > 1:
         raise DataError(
-            f"{scene.name}: a plan leads joints with fixed bases, without internal states, and "
-            "through one phase"
+            f"{scene.name}: follow needs fixed bases, no internal states and at most one phase"
         )
-    others = [one.name for one in scene.actuators if one.takes]
+    others = [actuator.name for actuator in scene.actuators if actuator.takes]
     if others or not scene.actuators:
-        named = f"{', '.join(others)} take something else" if others else "there are none"
-        raise DataError(f"{scene.name}: actuators that take the torque of their joint: {named}")
+        reason = f"{', '.join(others)} do not" if others else "the scene has none"
+        raise DataError(
+            f"{scene.name}: follow needs actuators that take the torque of their joint; {reason}"
+        )
 
 
-def recorded(scene: Scene, motion: Source) -> Recorded:
-    """The motion of a file, in what the system of a scene integrates.
+def read_reference(scene: Scene, motion: Source) -> ReferenceMotion:
+    """Read a motion as states that the system of a scene integrates.
 
     Raises:
-        DataError: It lacks positions, velocities or efforts.
+        DataError: Positions, velocities or efforts are missing.
     """
     robot, couplings = scene.robot, scene.couplings
     names, driven = couplings.independent, scene.actuated
     every = tuple(dict.fromkeys((*names, *driven)))
-    found = read_motion(motion, every, required=names, sliding=robot.sliding).motion
-    if found.velocity is None or np.isnan(found.velocity[:, : len(names)]).any():
-        raise DataError(f"no velocities of {', '.join(names)}")
-    lists = [found.command, found.effort]
-    given = [one[:, [every.index(name) for name in driven]] for one in lists if one is not None]
-    whole = [one for one in given if np.isfinite(one).all()]
-    if not whole or len(found.stamps) < 2:
-        raise DataError(f"two or more samples with efforts of {', '.join(driven)} are missing")
+    recording = read_motion(motion, every, required=names, sliding=robot.prismatic_joints).motion
+    if recording.velocity is None or np.isnan(recording.velocity[:, : len(names)]).any():
+        raise DataError(f"the motion has no velocities of {', '.join(names)}")
+    places = [every.index(name) for name in driven]
+    columns = [e[:, places] for e in (recording.command, recording.effort) if e is not None]
+    complete = [efforts for efforts in columns if np.isfinite(efforts).all()]
+    if not complete or len(recording.stamps) < 2:
+        raise DataError(
+            f"the motion needs two or more samples with efforts of {', '.join(driven)}"
+        )
     at = IndependentCoordinates(robot, couplings)
-    y, w = np.zeros((2, len(found.stamps), len(names)))
-    y[:, at.joint_y] = found.position[:, : len(names)]
-    w[:, at.joint_w] = found.velocity[:, : len(names)]
-    times = found.stamps * NANOSECOND
+    y, w = np.zeros((2, len(recording.stamps), len(names)))
+    y[:, at.joint_y] = recording.position[:, : len(names)]
+    w[:, at.joint_w] = recording.velocity[:, : len(names)]
+    times = recording.stamps * NANOSECOND
     states = [State(float(t), *pair) for t, *pair in zip(times, y, w, strict=True)]
-    return Recorded(times, states, whole[0])
+    return ReferenceMotion(times, states, complete[0])

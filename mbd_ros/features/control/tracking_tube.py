@@ -1,7 +1,7 @@
-"""How far a motion may be from a plan and still return to it, within what contacts leave.
+"""The tube of a plan: deviations from which the gains lead back to it.
 
-The tube is a level of the cost to go, e' S e <= level. Random deviations of a level are simulated
-under the gains; the level is halved until all of them return.
+The tube is a level set of the cost to go, e' S e <= level. Random deviations of a level are
+simulated under the gains and the limits of contacts; the level is halved until all of them return.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPla
 from mbd_ros.methods.events.crossings import Crossing
 from mbd_ros.methods.projection.assembly import assemble
 
-Watched = Callable[[Iterable[Any]], Iterable[Any]]
-_STEP = 0.2  # of a step, over the fastest rate of the loop
+PassOn = Callable[[Iterable[Any]], Iterable[Any]]
+_STEP = 0.2  # length of a step times the fastest rate of the loop
 _LONGEST = 5.0e-3  # [s] of a step
 _HALVINGS = 40  # of a level, at most
-_LOST = 100.0  # times a level, at which a motion is given up
+_LOST = 100.0  # times a level, at which a motion counts as lost
 _MARGIN = 0.5  # of the level that every disturbance returned from
-_REPEATED_MARGIN = 0.25  # the same of motions that only have to end in the tube
-_HELD = 1.0e-3  # share of the level at which a motion has returned to an end at rest
+_REPEATED_MARGIN = 0.25  # the same for motions that only have to end in the tube
+_RETURNED = 1.0e-3  # share of the level at which a motion has returned to rest
 
 
 def tube_level(
@@ -39,31 +39,33 @@ def tube_level(
     rests: bool,
     count: int = 48,
     seed: int = 0,
-    watched: Watched = iter,
+    with_progress: PassOn = iter,
 ) -> float:
-    """A share of a cost to go from which random disturbances return, each at a random sample.
+    """Find a level of the cost to go from which random disturbances return.
+
+    Each disturbance acts at a random sample of the plan.
 
     Args:
-        plan: What it follows.
-        largest: Where the search begins; halved until all return.
-        fastest: Rate of the loop that steps resolve [1/s].
-        rests: Whether motions must come back to the end, which is at rest; else they must end
-            in the tube.
+        disturbed: Simulation of motions beside the plan.
+        plan: The plan.
+        largest: Level at which the search starts; it is halved until all disturbances return.
+        fastest: Fastest rate of the loop [1/s], which steps resolve.
+        rests: Whether motions must come to rest at the end; otherwise they must end in the tube.
         count: Number of disturbances.
-        seed: Of their random numbers.
-        watched: Passes the disturbances of a level on, for progress.
+        seed: Seed of the random numbers.
+        with_progress: Function that passes the disturbances of a level on, to show progress.
 
     Returns:
-        The level; 0 where no disturbance returns.
+        The level; 0 if no disturbance returns.
     """
     rng, (n, m) = np.random.default_rng(seed), plan.cost.shape[:2]
-    at, ways = rng.integers(0, n - 1, count), rng.normal(size=(count, m))
+    at, directions = rng.integers(0, n - 1, count), rng.normal(size=(count, m))
     level = largest
     for _ in range(_HALVINGS):
-        for i, way in watched(zip(at.tolist(), ways, strict=True)):
-            e = way * math.sqrt(level / float(way.dot(plan.cost[i]).dot(way)))
-            found = disturbed.after(i, e, _LOST * level, fastest)
-            if not found.last <= (_HELD if rests else 1.0) * level:
+        for i, d in with_progress(zip(at.tolist(), directions, strict=True)):
+            e = d * math.sqrt(level / float(d.dot(plan.cost[i]).dot(d)))
+            outcome = disturbed.after(i, e, _LOST * level, fastest)
+            if not outcome.last <= (_RETURNED if rests else 1.0) * level:
                 break
         else:
             return (_MARGIN if rests else _REPEATED_MARGIN) * level
@@ -72,15 +74,16 @@ def tube_level(
 
 
 class DisturbedMotion:
-    """Motion under the gains of a plan, from states beside it, with inputs held each step.
+    """Simulation under the gains of a plan, from states beside it, with inputs constant in a step.
 
     Args:
-        system: What is controlled.
-        motion: States of what it integrates at the times of the plan.
-        slopes: Its joints among the coordinates, and what they say of the others.
-        box: Efforts that inputs can have.
-        hold: How long the plan holds its end [s].
-        demands: Numbers of the forces of contacts that are held, which stay positive.
+        system: The controlled system.
+        motion: States that the system integrates, at the times of the plan.
+        plan: The plan.
+        slopes: Derivatives in the independent coordinates.
+        box: Accepted efforts.
+        hold: Time for which the plan holds its end [s].
+        demands: Functions of the contact forces that must stay positive.
     """
 
     def __init__(
@@ -99,45 +102,45 @@ class DisturbedMotion:
         self._accelerate, self._rates = system.accelerator(), np.zeros((4, system.nv))
 
     def after(self, i: int, e: Array, limit: float, fastest: float) -> Outcome:
-        """The motion to the end from sample i with the deviation e, shape (2 d,).
+        """Simulate to the end from a sample with a deviation.
 
         Args:
-            i: Number of the sample at which it is disturbed.
-            e: Deviation of the independent coordinates, then of their velocities.
-            limit: Cost to go at which the motion is given up.
-            fastest: Rate of the loop that steps resolve [1/s].
+            i: Index of the sample.
+            e: Deviation of the independent coordinates, then of their velocities, shape (2 d,).
+            limit: Cost to go at which the motion counts as lost.
+            fastest: Fastest rate of the loop [1/s], which steps resolve.
         """
         y = self._slopes.beside(self._motion[i], e)
         try:
-            y = assemble(self._system, y) if self._system.held.rows else y
+            y = assemble(self._system, y) if self._system.bilateral.rows else y
         except SolveError:
             return Outcome(math.inf, math.inf)
         end = self._plan.end + self._hold
         count = max(1, math.ceil((end - y.t) / min(_LONGEST, _STEP / fastest)))
         h, largest, cost = (end - y.t) / count, 0.0, math.inf
         for _ in range(count + 1):
-            cost, u = self._answer(y)
+            cost, u = self._cost_and_efforts(y)
             largest = max(largest, cost)
-            if not (largest <= limit and self._is_held(y, u)):
+            if not (largest <= limit and self._keeps_contacts(y, u)):
                 return Outcome(math.inf, math.inf)
-            y = self._stepped(y, u, h)
+            y = self._step(y, u, h)
         return Outcome(largest, cost)
 
-    def _answer(self, y: State) -> tuple[float, Array]:
-        """Cost to go, and the efforts."""
+    def _cost_and_efforts(self, y: State) -> tuple[float, Array]:
+        """Return the cost to go, and the efforts of the gains."""
         wanted = self._plan.at(y.t)
         e = np.concatenate([y.q[self._chosen] - wanted.q, y.v[self._chosen] - wanted.v])
         u = np.clip(wanted.u - wanted.gain.dot(e), self._box.lower, self._box.upper)
         return float(e.dot(wanted.cost).dot(e)), u
 
-    def _is_held(self, y: State, u: Array) -> bool:
-        """Whether contacts that are held push and stick under some efforts."""
+    def _keeps_contacts(self, y: State, u: Array) -> bool:
+        """Return whether closed contacts push and stick under these efforts."""
         if not self._demands:
             return True
-        return bool((held_room(self._system, self._demands, y, u) >= 0.0).all())
+        return bool((contact_clearance(self._system, self._demands, y, u) >= 0.0).all())
 
-    def _stepped(self, y: State, u: Array, h: float) -> State:
-        """A classical Runge-Kutta step with held inputs."""
+    def _step(self, y: State, u: Array, h: float) -> State:
+        """Take a classical Runge-Kutta step with constant inputs."""
         a, integrate = self._rates, self._system.chart.integrate
         self._accelerate(y.t, y.q, y.v, u, a[0])
         v1 = y.v + 0.5 * h * a[0]
@@ -152,27 +155,32 @@ class DisturbedMotion:
 
 
 class Outcome(NamedTuple):
-    """What a disturbed motion does.
+    """Result of a disturbed motion.
 
     Attributes:
-        largest: Largest cost to go on its way; inf where it is lost.
-        last: Cost to go at its end.
+        largest: Largest cost to go during the motion; inf if it is lost.
+        last: Cost to go at its end; inf if it is lost.
     """
 
     largest: float
     last: float
 
 
-def held_room(system: Any, crossings: Sequence[Crossing], y: State, u: Array) -> Array:
-    """Numbers of forces at a state of what is integrated, positive while contacts are held.
+def contact_clearance(system: Any, crossings: Sequence[Crossing], y: State, u: Array) -> Array:
+    """Evaluate functions of the contact forces that are positive while contacts stay closed.
 
     Args:
-        system: The system that holds them.
-        crossings: The numbers, shape (n,).
+        system: System that closes the contacts.
+        crossings: The n functions.
+        y: State that the system integrates.
+        u: Inputs.
+
+    Returns:
+        Values of the functions, shape (n,).
     """
     x, k = system.expand(y), system.k
-    lam, found = system.evaluate(x, u).lam, []
+    lam, values = system.evaluate(x, u).lam, []
     for crossing in crossings:
         k.refresh(x.q, x.v, crossing.reads)
-        found.append(crossing.value(k, x, lam))
-    return np.array(found)
+        values.append(crossing.value(k, x, lam))
+    return np.array(values)

@@ -1,7 +1,7 @@
 """Trajectories of joints over time, the limits they keep, and their goals.
 
-A trajectory is polynomials between points, at rest before and after. A goal says how far joints
-may be from it, and tells when and how it ends.
+A trajectory consists of polynomials between points, and rests before and after them. A goal has
+tolerances of the joints along the trajectory, and judges when and how it ends.
 """
 
 import math
@@ -36,21 +36,21 @@ _CUBIC = np.array(
     ]
 )
 PEAK_SPEED = 1.875  # of a quintic from rest to rest, in distance over duration
-_SAMPLES = 16  # of a piece, among which extremes are looked for
+_SAMPLES = 16  # per piece, for the search of extreme values
 _ROUNDING = 1.0e-9  # rad or m, and share of a speed limit
 
 
 class ReferenceTrajectory:
-    """Quintic pieces through points with accelerations, else cubic ones; C2 or C1.
+    """Piecewise quintic (C2) through points with accelerations, otherwise piecewise cubic (C1).
 
-    It stands at the first point before, and at the last point after. A point without velocity
-    takes the mean slope of its neighbours; the first and last point rest.
+    It rests at the first point before, and at the last point after. A point without velocity
+    takes the mean slope of its neighbours; the first and the last point rest.
 
     Args:
-        times: [s], strictly increasing, shape (k,), k >= 1.
+        times: Strictly increasing times [s], shape (k,), k >= 1.
         q: Positions [rad or m], shape (k, n).
         v: Velocities [rad/s or m/s], shape (k, n), or None.
-        a: Accelerations [rad/s^2 or m/s^2], shape (k, n), or None; read beside `v` only.
+        a: Accelerations [rad/s^2 or m/s^2], shape (k, n), or None; used only with `v`.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class ReferenceTrajectory:
         return float(self._times[-1])
 
     def at(self, t: float) -> Reference:
-        """Position, velocity and acceleration at a time [s]; fresh arrays."""
+        """Return position, velocity and acceleration at a time [s]."""
         if t >= self.end:
             return Reference(self._last_q, self._rest, self._rest)
         if t < self.begin:
@@ -98,7 +98,7 @@ class ReferenceTrajectory:
         )
 
     def samples(self) -> tuple[Array, Array, Array]:
-        """Times (m,), positions (m, n) and velocities (m, n), dense enough to see extremes."""
+        """Return m times, positions (m, n) and velocities (m, n) that show extreme values."""
         parts, powers = np.linspace(0.0, 1.0, _SAMPLES, endpoint=False), self._powers
         inner = (self._times[:-1, None] + parts * self._h[:, None]).ravel()
         monomials = parts[:, None] ** powers
@@ -114,14 +114,14 @@ class ReferenceTrajectory:
 
 
 def slopes(times: Array, q: Array) -> Array:
-    """Velocities of points that have none: the mean slope of both sides, rest at both ends.
+    """Return velocities for points without any: mean slopes of both sides, rest at both ends.
 
     Args:
-        times: [s], shape (k,).
-        q: [rad or m], shape (k, n).
+        times: Times of the points [s], shape (k,).
+        q: Positions [rad or m], shape (k, n).
 
     Returns:
-        Fresh, shape (k, n).
+        Velocities [rad/s or m/s], shape (k, n).
     """
     v = np.zeros_like(q)
     if len(times) > 2:
@@ -130,7 +130,7 @@ def slopes(times: Array, q: Array) -> Array:
 
 
 class ReferenceLimits:
-    """Position and velocity limits of joints as references see them.
+    """Position and velocity limits of joints for references.
 
     Attributes:
         fastest: Velocity limits [rad/s or m/s], shape (n,).
@@ -144,15 +144,15 @@ class ReferenceLimits:
         self.fastest = np.array([joint.max_velocity for joint in joints.joints])
 
     def begin(self, q: Array) -> None:
-        """Begin at a measured position; beyond a limit it widens that limit."""
+        """Start at a measured position; a position beyond a limit widens that limit."""
         self._lowest, self._highest = np.minimum(self._lower, q), np.maximum(self._upper, q)
 
     def nearest(self, q: Array) -> Array:
-        """The nearest position within the limits, fresh."""
+        """Return the nearest position within the limits."""
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
-    def kept(self, ref: Reference) -> Reference:
-        """The reference, at rest at a limit that it would leave."""
+    def clip(self, ref: Reference) -> Reference:
+        """Return the reference, at rest at a limit that it would pass."""
         q = np.minimum(np.maximum(ref.q, self._lowest), self._highest)
         beyond = q != ref.q
         if not beyond.any():
@@ -163,15 +163,16 @@ class ReferenceLimits:
         """Refuse motion beyond the limits.
 
         Args:
-            times: [s], shape (k,).
-            q: [rad or m], shape (k, n).
-            v: [rad/s or m/s], shape (k, n).
+            times: Times [s], shape (k,).
+            q: Positions [rad or m], shape (k, n).
+            v: Velocities [rad/s or m/s], shape (k, n).
 
         Raises:
-            TargetError: Names joint, time, value and what is accepted.
+            TargetError: A value is not finite or beyond a limit; the message names joint, time,
+                value and accepted values.
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
-            raise TargetError("reference refused: not finite")
+            raise TargetError("reference refused: a position or velocity is not finite")
         off = (q < self._lower - _ROUNDING) | (q > self._upper + _ROUNDING)
         if off.any():
             i, j = np.argwhere(off)[0]
@@ -189,16 +190,18 @@ class ReferenceLimits:
 
 
 class TargetError(MbdError):
-    """A reference that is refused: names the joint, its value and what is accepted."""
+    """A refused reference or goal; the message names the joint, its value and accepted values."""
 
 
 class JointTolerance(NamedTuple):
-    """Tolerances of a goal for one joint: 0 leaves the default, a negative number lifts it.
+    """Tolerances of a goal for one joint: 0 keeps the default, a negative number removes it.
 
     Attributes:
-        position: [rad or m].
-        velocity: [rad/s or m/s].
-        acceleration: [rad/s^2 or m/s^2]; a tolerance > 0 cannot be watched.
+        name: Name of the joint.
+        position: Tolerance of the position [rad or m].
+        velocity: Tolerance of the velocity [rad/s or m/s].
+        acceleration: Tolerance of the acceleration [rad/s^2 or m/s^2]; must not be above 0, since
+            joint states carry no accelerations.
     """
 
     name: str
@@ -211,11 +214,11 @@ class Tolerances(NamedTuple):
     """Accepted distances of measured joints from their trajectory; inf without a tolerance.
 
     Attributes:
-        path_q: On the way [rad or m], shape (n,).
-        path_v: On the way [rad/s or m/s], shape (n,).
-        goal_q: At the end [rad or m], shape (n,).
-        goal_v: At the end [rad/s or m/s], shape (n,).
-        time: After the end until the goal must be reached [s].
+        path_q: Tolerances of positions along the path [rad or m], shape (n,).
+        path_v: Tolerances of velocities along the path [rad/s or m/s], shape (n,).
+        goal_q: Tolerances of positions at the end [rad or m], shape (n,).
+        goal_v: Tolerances of velocities at the end [rad/s or m/s], shape (n,).
+        time: Time after the end within which the goal must be reached [s].
     """
 
     path_q: Array
@@ -231,25 +234,27 @@ class Tolerances(NamedTuple):
         goal: Sequence[JointTolerance],
         time: float,
     ) -> "Tolerances":
-        """These defaults, changed by the tolerances of a goal.
+        """Return these defaults, changed by the tolerances of a goal.
 
         Args:
             names: Joints, in the order of the arrays.
-            path: On the way.
-            goal: At the end.
-            time: 0 leaves the default, a negative one lifts it [s].
+            path: Tolerances along the path.
+            goal: Tolerances at the end.
+            time: Time within which the goal must be reached [s]; 0 keeps the default, a negative
+                number removes it.
 
         Raises:
-            TargetError: An unknown joint, not a number, or a tolerance of acceleration.
+            TargetError: A joint is unknown, a tolerance is no number, or one of acceleration is
+                above 0.
         """
-        path_q, path_v = _changed(names, "path_tolerance", self.path_q, self.path_v, path)
-        goal_q, goal_v = _changed(names, "goal_tolerance", self.goal_q, self.goal_v, goal)
-        within = _meant(time, self.time, "goal_time_tolerance")
-        return Tolerances(path_q, path_v, goal_q, goal_v, within)
+        path_q, path_v = _replace(names, "path_tolerance", self.path_q, self.path_v, path)
+        goal_q, goal_v = _replace(names, "goal_tolerance", self.goal_q, self.goal_v, goal)
+        goal_time = _tolerance(time, self.time, "goal_time_tolerance")
+        return Tolerances(path_q, path_v, goal_q, goal_v, goal_time)
 
 
 class ResultCode(IntEnum):
-    """How a goal ended; values of the action."""
+    """Result codes of the action FollowJointTrajectory."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1
@@ -260,62 +265,63 @@ class ResultCode(IntEnum):
 
 
 class Outcome(NamedTuple):
-    """The end of a goal: its code, and the reason for people."""
+    """Result of a goal: its code, and the reason for people."""
 
     code: ResultCode
     text: str
 
 
 class TrajectoryGoal:
-    """A trajectory on its way: whether its joints keep their tolerances, and how it ends.
+    """A trajectory that is being followed, with its tolerances.
 
-    On the way every joint must keep the path tolerances. From the last point on, once the
+    Along the path every joint must keep the path tolerances. From the last point on, once the
     reference rests there, the goal is reached as soon as every joint keeps the goal tolerances,
-    and missed after `tolerances.time`. The meaning of tolerances and codes is that of
-    control_msgs/action/FollowJointTrajectory, and where it leaves a choice that of the
+    and missed after `tolerances.time`. Tolerances and codes have the meaning of
+    control_msgs/action/FollowJointTrajectory and, where that leaves a choice, of the
     joint_trajectory_controller of ros2_control.
 
     Args:
         names: Joints, in the order of all arrays.
-        tolerances: How far joints may be from the trajectory and its end.
+        tolerances: Tolerances along the path and at the end.
         begin: Time from which the times of the points count [s].
-        end: Of the last point [s].
-        rest: When the reference comes to rest, after a ramp to a trajectory from elsewhere [s].
+        end: Time of the last point [s].
+        rest: Time at which the reference comes to rest [s]; later than `end` if it had to ramp to
+            the trajectory.
     """
 
     def __init__(
         self, names: Sequence[str], tolerances: Tolerances, begin: float, end: float, rest: float
     ) -> None:
-        self._names, self._within = tuple(names), tolerances
+        self._names, self._tolerances = tuple(names), tolerances
         self.begin, self._end, self._rest = begin, end, max(rest, end)
 
     def judge(self, t: float, q: Array, v: Array, ref: Reference) -> Outcome | None:
-        """How the goal ended at a time [s]; None while it continues.
+        """Return the outcome of the goal; None while it continues.
 
         Args:
-            t: Now [s].
-            q: Measured [rad or m], shape (n,).
-            v: Measured [rad/s or m/s], shape (n,).
-            ref: Where the joints should be.
+            t: Present time [s].
+            q: Measured positions [rad or m], shape (n,).
+            v: Measured velocities [rad/s or m/s], shape (n,).
+            ref: Reference at that time.
         """
-        off, rate, within = np.abs(ref.q - q), np.abs(ref.v - v), self._within
+        off, rate, within = np.abs(ref.q - q), np.abs(ref.v - v), self._tolerances
         if t < self._end:
             if (off <= within.path_q).all() and (rate <= within.path_v).all():
                 return None
             text = self._beyond(off, rate, within.path_q, within.path_v)
-            said = f"path tolerance violated {t - self.begin:.3f} s after the begin: {text}"
-            return Outcome(ResultCode.PATH_TOLERANCE_VIOLATED, said)
+            text = f"path tolerance violated {t - self.begin:.3f} s after the begin: {text}"
+            return Outcome(ResultCode.PATH_TOLERANCE_VIOLATED, text)
         is_there = (off <= within.goal_q).all() and (rate <= within.goal_v).all()
         if is_there and t >= self._rest:
             return Outcome(ResultCode.SUCCESSFUL, "goal reached")
         if t - self._end <= within.time:
             return None
         text = self._beyond(off, rate, within.goal_q, within.goal_v)
-        said = f"goal not reached {t - self._end:.3f} s after the end of the trajectory, {text}"
-        return Outcome(ResultCode.GOAL_TOLERANCE_VIOLATED, said)
+        text = f"goal not reached {t - self._end:.3f} s after the end of the trajectory, {text}"
+        return Outcome(ResultCode.GOAL_TOLERANCE_VIOLATED, text)
 
     def _beyond(self, off: Array, rate: Array, most: Array, fastest: Array) -> str:
-        """The joint that is furthest beyond, in shares of its tolerance."""
+        """Describe the joint that exceeds its tolerance by the largest factor."""
         for error, limit, unit in ((off, most, ""), (rate, fastest, "/s")):
             beyond = np.where(error > limit, error / limit, 0.0)
             if beyond.any():
@@ -324,19 +330,19 @@ class TrajectoryGoal:
         return "the reference had to be ramped to where the trajectory begins"
 
 
-def _changed(
-    names: Sequence[str], field: str, q: Array, v: Array, given: Sequence[JointTolerance]
+def _replace(
+    names: Sequence[str], field: str, q: Array, v: Array, tolerances: Sequence[JointTolerance]
 ) -> tuple[Array, Array]:
     q, v = q.copy(), v.copy()
-    for tolerance in given:
+    for tolerance in tolerances:
         where = f"{field} of '{tolerance.name:.64}'"
         if tolerance.name not in names:
             raise TargetError(
-                f"goal refused: {where}: not controlled; accepted: {', '.join(names)}"
+                f"goal refused: {where}: the joint is not controlled; accepted: {', '.join(names)}"
             )
         j = names.index(tolerance.name)
-        q[j] = _meant(tolerance.position, q[j], f"{where}: position")
-        v[j] = _meant(tolerance.velocity, v[j], f"{where}: velocity")
+        q[j] = _tolerance(tolerance.position, q[j], f"{where}: position")
+        v[j] = _tolerance(tolerance.velocity, v[j], f"{where}: velocity")
         if not tolerance.acceleration <= 0.0:
             raise TargetError(
                 f"goal refused: {where}: acceleration {tolerance.acceleration:g}; accepted: 0, "
@@ -345,9 +351,9 @@ def _changed(
     return q, v
 
 
-def _meant(given: float, default: float, where: str) -> float:
-    if math.isnan(given):
-        raise TargetError(f"goal refused: {where} is no number")
-    if given == 0.0:
+def _tolerance(value: float, default: float, where: str) -> float:
+    if math.isnan(value):
+        raise TargetError(f"goal refused: {where} is not a number")
+    if value == 0.0:
         return default
-    return math.inf if given < 0.0 else given
+    return math.inf if value < 0.0 else value

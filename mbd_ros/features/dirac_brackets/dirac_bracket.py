@@ -1,4 +1,4 @@
-"""Dirac brackets of coordinates and momenta on the rows of a scene.
+"""Dirac brackets of the coordinates and momenta of a scene with holonomic constraints g(q) = 0.
 
     x = (q, p), p = M v, chi = (g, psi), psi = J M^-1 p = g'
     {x_i, x_j}_D = {x_i, x_j} - {x_i, chi_a} C^-1_ab {chi_b, x_j},   C_ab = {chi_a, chi_b}
@@ -22,7 +22,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.methods.particles.particle_system import ParticleSystem
 from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow
 
-_MINORS = 3  # rows up to which an inverse is written out
+_MINORS = 3  # size up to which an inverse is an explicit formula
 
 
 class DiracBracket:
@@ -30,12 +30,13 @@ class DiracBracket:
 
     Args:
         q: Symbols of the coordinates, a column of n.
-        v: Symbols of the velocities.
-        g: Rows of positions that are independent, a column.
+        v: Symbols of the velocities, a column of n.
+        g: Independent constraints, a column of m.
+        kinetic: Kinetic energy.
 
     Attributes:
         n: Number of coordinates.
-        m: Number of rows.
+        m: Number of constraints.
     """
 
     def __init__(self, q: Any, v: Any, g: Any, kinetic: Any) -> None:
@@ -75,19 +76,19 @@ class DiracBracket:
         return ca.Function("slopes", [self._q, self._p], [slopes])
 
     def momentum(self, q: Array, v: Array) -> Array:
-        """M v, shape (n,)."""
+        """Return the momentum M v, shape (n,)."""
         return _flat(self._momentum(q, v))
 
     def mass_rate(self, q: Array, v: Array) -> Array:
-        """(dM/dt) v, shape (n,)."""
+        """Return (dM/dt) v, shape (n,)."""
         return _flat(self._drift(q, v))
 
     def table(self, q: Array, p: Array) -> Array:
-        """Brackets {x_i, x_j}_D of x = (q, p), shape (2 n, 2 n)."""
+        """Return the brackets {x_i, x_j}_D of x = (q, p), shape (2 n, 2 n)."""
         return np.array(self._values(q, p).full())
 
     def jacobi(self, q: Array, p: Array) -> float:
-        """Largest sum of {x_i, {x_j, x_k}} over cyclic changes: 0 by Jacobi's identity."""
+        """Return the largest cyclic sum of {x_i, {x_j, x_k}}, which is 0 by Jacobi's identity."""
         size = 2 * self.n
         table = self.table(q, p)
         slopes = np.array(self._slopes(q, p).full()).reshape(size, size, size, order="F")
@@ -96,15 +97,15 @@ class DiracBracket:
         return float(np.abs(cyclic).max())
 
     def casimirs(self, q: Array, p: Array) -> float:
-        """Largest bracket of a coordinate or momentum with a row g or its rate: 0."""
+        """Return the largest bracket with a constraint or its rate, which is 0 (Casimirs)."""
         slopes = np.array(self._casimirs(q, p).full())
         return float(np.abs(self.table(q, p).dot(slopes.T)).max(initial=0.0))
 
     def expressions(self, names: tuple[str, ...]) -> dict[tuple[str, str], str]:
-        """Brackets that are not 0 as expressions, by pairs of names.
+        """Return the brackets that are not 0 as expressions, by pairs of names.
 
         Args:
-            names: Of the coordinates; momenta are p_<name>.
+            names: Names of the coordinates; momenta are p_<name>.
         """
         every = (*names, *(f"p_{name}" for name in names))
         symbols = [ca.SX.sym(name) for name in every]
@@ -118,36 +119,37 @@ class DiracBracket:
         }
 
 
-def of_mechanism(traced: Traced, kept: list[int]) -> DiracBracket:
-    """Brackets of what a tier integrates.
+def of_mechanism(traced: Traced, rows: list[int]) -> DiracBracket:
+    """Return the brackets of the coordinates that the solver of a mechanism integrates.
 
     Args:
-        traced: The functions of its system.
-        kept: Rows that are independent.
+        traced: Symbolic functions of the system.
+        rows: Indices of independent constraint rows.
     """
     symbols = traced.equations.symbols
     t, q, v, z, p = (symbols[key] for key in "tqvzp")
-    g = traced.function("gap")(0.0, q, p) if kept else ca.SX(0, 1)
+    g = traced.function("gap")(0.0, q, p) if rows else ca.SX(0, 1)
     kinetic = traced.function("energy")(t, q, v, z, p)[0]
-    return DiracBracket(q, v, g[kept] if kept else g, kinetic)
+    return DiracBracket(q, v, g[rows] if rows else g, kinetic)
 
 
-def of_particles(system: ParticleSystem, kept: list[int]) -> DiracBracket:
-    """Brackets of the coordinates of particles.
+def of_particles(system: ParticleSystem, independent: list[int]) -> DiracBracket:
+    """Return the brackets of the coordinates of particles.
 
     Args:
-        kept: Rows that are independent.
+        system: System of the particles.
+        independent: Indices of independent constraint rows.
     """
     q, v = ca.SX.sym("q", system.nv), ca.SX.sym("v", system.nv)
     rows, first = [], 0
     for kind in system.kinds:
-        of_one = [row for cluster in kind.clusters for row in cluster.rows]
+        of_molecule = [row for cluster in kind.clusters for row in cluster.rows]
         for copy in range(kind.count):
             begin = first + copy * len(kind.atoms)
-            rows += [_row(row, q, begin) for row in of_one]
+            rows += [_row(row, q, begin) for row in of_molecule]
         first += kind.size
     masses = np.repeat(system.masses, 3)
-    chosen = [rows[i] for i in kept]
+    chosen = [rows[i] for i in independent]
     return DiracBracket(q, v, ca.vertcat(*chosen), 0.5 * ca.dot(masses * v, v))
 
 
@@ -166,12 +168,12 @@ def _canonical(n: int) -> Any:
 
 
 def _inverse(A: Any) -> Any:
-    """A^-1 of symmetric matrices; short for small and for diagonal ones."""
+    """Return A^-1 of a symmetric matrix, as short formulas if it is small or diagonal."""
     n = A.shape[0]
     if n == 1:
         return 1.0 / A
     off = [A[i, j] for i in range(n) for j in range(n) if i != j]
-    if all(one.is_zero() for one in off):
+    if all(entry.is_zero() for entry in off):
         return ca.diag(1.0 / ca.diag(A))
     return ca.inv_minor(A) if n <= _MINORS else ca.solve(A, ca.SX.eye(n))
 

@@ -20,48 +20,50 @@ if TYPE_CHECKING:
 
 CHECKS = "checks"
 _MOST = 30  # coordinates of a scene
-_SHOWN = 8  # coordinates up to which a table is shown to people
+_PRINTED = 8  # coordinates up to which a table is printed
 _CHECKED = 12  # coordinates up to which Jacobi's identity is checked
-_WRITTEN = 4  # coordinates up to which expressions are told unasked
-_LONG = 160  # characters of an expression that nobody asked for
+_WRITTEN = 4  # coordinates up to which expressions are printed by default
+_LONG = 160  # characters of an expression that is printed by default
 
 
 def bracket(scene: Any, *, symbolic: bool | None = None, say: Say | None = None) -> Result:
-    """Dirac brackets of the coordinates and momenta of a scene at its start.
+    """Compute the Dirac brackets of the coordinates and momenta of a scene at its start.
 
     Args:
-        scene: Particles or a mechanism without free bodies, with rows of positions alone.
-        symbolic: Whether expressions are told; None: those of up to four coordinates.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        scene: Particles, or a mechanism without free bodies, whose constraints all restrict
+            positions.
+        symbolic: Also print expressions, however long. By default those of up to four
+            coordinates are printed, unless they are long.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
 
     Returns:
-        Table `samples`: {row, column}_D, rows and columns the coordinates, then their momenta
-        `p_<name>`. Table `checks`: largest brackets with rows and their rates, which are Casimirs;
-        motion by the bracket less motion by multipliers; with up to twelve coordinates the
-        violation of Jacobi's identity.
+        Table `samples`: {row, column}_D, whose rows and columns are the coordinates, then their
+        momenta `p_<name>`. Table `checks`: the largest bracket with a constraint or its rate,
+        which are Casimirs; the motion by the bracket less the motion by multipliers; with up to
+        twelve coordinates the violation of Jacobi's identity.
 
     Raises:
-        SceneError: The scene has no brackets; says why.
+        SceneError: The scene has no brackets; the message says why.
     """
     remarks: list[str] = []
     tell, space = say or remarks.append, phase_space(scene)
-    found, p = space.bracket, space.momentum
-    table, names = found.table(space.q, p), _all_names(space.names)
-    one, other = space.motion()
-    checks = {"casimirs": found.casimirs(space.q, p), "motion": float(np.abs(one - other).max())}
-    if found.n <= _CHECKED:
-        checks["jacobi_identity"] = found.jacobi(space.q, p)
-    tell(f"{scene.name}: {found.n} coordinates, {found.m} independent rows")
+    dirac, p = space.bracket, space.momentum
+    table, names = dirac.table(space.q, p), _all_names(space.names)
+    by_bracket, by_multipliers = space.motion()
+    difference = float(np.abs(by_bracket - by_multipliers).max())
+    checks = {"casimirs": dirac.casimirs(space.q, p), "motion": difference}
+    if dirac.n <= _CHECKED:
+        checks["jacobi_identity"] = dirac.jacobi(space.q, p)
+    tell(f"{scene.name}: {dirac.n} coordinates, {dirac.m} independent constraints")
     for line in _lines(table, names, checks):
         tell(line)
-    if symbolic or (symbolic is None and found.n <= _WRITTEN):
-        written = found.expressions(space.names)
-        kept = {k: text for k, text in written.items() if symbolic or len(text) <= _LONG}
-        for (a, b), text in kept.items():
+    if symbolic or (symbolic is None and dirac.n <= _WRITTEN):
+        written = dirac.expressions(space.names)
+        short = {k: text for k, text in written.items() if symbolic or len(text) <= _LONG}
+        for (a, b), text in short.items():
             tell(f"  {{{a}, {b}}} = {text}")
-        if len(kept) < len(written):
-            tell(f"  {len(written) - len(kept)} longer expressions: --symbolic shows them")
+        if len(short) < len(written):
+            tell(f"  {len(written) - len(short)} longer expressions: --symbolic shows them")
     columns = [Column(name, table[:, j]) for j, name in enumerate(names)]
     tables = {
         MAIN: Table(columns),
@@ -76,11 +78,11 @@ def _all_names(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _lines(table: Array, names: Sequence[str], checks: dict[str, float]) -> Iterator[str]:
-    words = {"casimirs": "Casimirs", "motion": "motion by multipliers less that by the bracket"}
-    words["jacobi_identity"] = "Jacobi's identity"
-    yield "largest violations: " + ", ".join(f"{words[k]} {v:.2g}" for k, v in checks.items())
+    titles = {"casimirs": "Casimirs", "motion": "motion by multipliers less that by the bracket"}
+    titles["jacobi_identity"] = "Jacobi's identity"
+    yield "largest violations: " + ", ".join(f"{titles[k]} {v:.2g}" for k, v in checks.items())
     n = len(names) // 2
-    if n > _SHOWN:
+    if n > _PRINTED:
         return
     wide = max(max(map(len, names)), 10)
     for title, rows in (("{q, p}", range(n)), ("{p, p}", range(n, 2 * n))):
@@ -94,11 +96,12 @@ class PhaseSpace(NamedTuple):
     """Coordinates and momenta of a scene, and its brackets.
 
     Attributes:
-        names: Of the coordinates.
-        q: The start, shape (n,).
-        v: Its velocities along the rows.
-        system: The system; `applied` gives forces on the coordinates.
-        a: Accelerations there by multipliers.
+        names: Names of the coordinates.
+        bracket: The brackets as functions of the state.
+        q: Configuration at the start, shape (n,).
+        v: Velocities at the start, along the constraints, shape (n,).
+        system: The system, whose `applied` gives the forces on the coordinates.
+        a: Accelerations at the start by multipliers, shape (n,).
     """
 
     names: tuple[str, ...]
@@ -110,11 +113,11 @@ class PhaseSpace(NamedTuple):
 
     @property
     def momentum(self) -> Array:
-        """M v, shape (n,)."""
+        """Momentum M v, shape (n,)."""
         return self.bracket.momentum(self.q, self.v)
 
     def motion(self) -> tuple[Array, Array]:
-        """Rates of (q, p), by the bracket with the energy and by multipliers, each (2 n,)."""
+        """Return the rates of (q, p) by the bracket and by multipliers, shape (2 n,) each."""
         rate = self.bracket.mass_rate(self.q, self.v)
         force = self.system.applied(0.0, self.q, self.v) + rate
         table = self.bracket.table(self.q, self.momentum)
@@ -124,10 +127,10 @@ class PhaseSpace(NamedTuple):
 
 
 def phase_space(scene: Any) -> PhaseSpace:
-    """Coordinates, momenta and brackets of a scene.
+    """Return coordinates, momenta and brackets of a scene.
 
     Raises:
-        SceneError: The scene has no brackets; says why.
+        SceneError: The scene has no brackets; the message says why.
     """
     return _of_particles(scene) if is_of_particles(scene) else _of_mechanism(scene)
 
@@ -142,21 +145,23 @@ def _of_mechanism(scene: Scene) -> PhaseSpace:
     names = scene.couplings.independent
     if not system.chart.is_flat or system.nq != system.nv:
         raise SceneError(f"{scene.name}: quaternions of free bodies have no canonical momenta")
-    if len(system.held.rows) != len(system.rows):
-        raise SceneError(f"{scene.name}: rows of velocities have no brackets: holonomic rows have")
+    if len(system.bilateral.rows) != len(system.rows):
+        raise SceneError(
+            f"{scene.name}: nonholonomic constraints have no brackets; accepted are holonomic ones"
+        )
     _refuse_many(scene.name, names)
     y = assemble(system, system.reduce(scene.initial))
     if np.abs(system.rate(0.0, y.q)).max(initial=0.0) > 0.0:
-        raise SceneError(f"{scene.name}: rows that move with time have no brackets")
-    kept = independent(system.jacobian(0.0, y.q)) if system.rows else []
+        raise SceneError(f"{scene.name}: constraints that depend on time have no brackets")
+    rows = independent(system.jacobian(0.0, y.q)) if system.rows else []
     try:
-        found = of_mechanism(traced(scene, system), kept)
+        dirac = of_mechanism(traced(scene, system), rows)
     except Untraceable as error:
         raise SceneError(f"{scene.name}: {error}") from error
-    along = found.table(y.q, np.zeros(found.n))[: found.n, found.n :]
-    y = y._replace(v=along.dot(y.v))
+    projection = dirac.table(y.q, np.zeros(dirac.n))[: dirac.n, dirac.n :]
+    y = y._replace(v=projection.dot(y.v))
     a = system.integrated(system.evaluate(system.expand(y)).a)
-    return PhaseSpace(tuple(names), found, y.q, y.v, system, a)
+    return PhaseSpace(tuple(names), dirac, y.q, y.v, system, a)
 
 
 def _of_particles(scene: Any) -> PhaseSpace:
@@ -165,17 +170,19 @@ def _of_particles(scene: Any) -> PhaseSpace:
     system, x = scene.system(), scene.initial
     names = tuple(f"{name}.{axis}" for name in system.names for axis in "xyz")
     _refuse_many(scene.name, names)
-    found = of_particles(system, independent(system.jacobian(0.0, x.q)))
-    return PhaseSpace(names, found, x.q, x.v, system, system.accelerations(x.q, x.v)[0])
+    dirac = of_particles(system, independent(system.jacobian(0.0, x.q)))
+    return PhaseSpace(names, dirac, x.q, x.v, system, system.accelerations(x.q, x.v)[0])
 
 
 def _refuse(scene: Scene) -> None:
     if scene.phases or scene.parts.get("contacts"):
-        what = "phases" if scene.phases else "contacts"
-        raise SceneError(f"{scene.name}: {what}: brackets are those of bilateral rows")
+        section = "phases" if scene.phases else "contacts"
+        raise SceneError(f"{scene.name}: {section}: brackets exist for bilateral constraints only")
     for part in scene.constraints:
         if not part.law.is_rigid:
-            raise SceneError(f"{scene.name}: {part.name}: brackets are those of bilateral rows")
+            raise SceneError(
+                f"{scene.name}: {part.name}: brackets exist for bilateral constraints only"
+            )
     for part in (*scene.actuators, *scene.forces, *scene.muscles):
         if part.internal:
             raise SceneError(f"{scene.name}: {part.name}: internal states have no brackets")
@@ -183,4 +190,4 @@ def _refuse(scene: Scene) -> None:
 
 def _refuse_many(name: str, names: Sequence[str]) -> None:
     if not 0 < len(names) <= _MOST:
-        raise SceneError(f"{name}: {len(names)} coordinates, brackets serve 1 .. {_MOST}")
+        raise SceneError(f"{name}: has {len(names)} coordinates, brackets accept 1 .. {_MOST}")

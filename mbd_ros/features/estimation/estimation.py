@@ -1,4 +1,4 @@
-"""A scene made ready for an estimator: sensors, inputs, unknown efforts, noise."""
+"""Preparation of a scene for an estimator: sensors, inputs, unknown efforts, noise."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from mbd_ros.core.thresholds import FIXED_BY_OTHERS
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.features.estimation.mechanism_process import MechanismProcess
 from mbd_ros.features.estimation.task import EstimateTask
-from mbd_ros.features.estimation.unknowns import EffortDisturbance, Unknowns, with_unknowns
+from mbd_ros.features.estimation.unknowns import EffortDisturbance, Unknowns, add_unknowns
 from mbd_ros.methods.estimation.process import Estimator
 from mbd_ros.parts.actuators.ideal import Ideal
 from mbd_ros.parts.sensors.encoder import Encoder
@@ -25,22 +25,23 @@ from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import resolve
 
-EFFORTS = "efforts"  # name of the loads that measured efforts are
-_UNKNOWN_EFFORT = 10.0  # rad/s^2 or m/s^2, of unknown efforts at the start
-_UNKNOWN_RATE = 100.0  # rad/s^3 or m/s^3, of the rates of those that drift
+EFFORTS = "efforts"  # name of the actuators that stand for measured efforts
+_UNKNOWN_EFFORT = 10.0  # rad/s^2 or m/s^2: initial deviation of unknown efforts
+_UNKNOWN_RATE = 100.0  # rad/s^3 or m/s^3: the same of the rates of efforts that drift
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """A scene made ready for an estimator.
+    """A scene that is prepared for an estimator.
 
     Attributes:
-        scene: With what stands for measured efforts and disturbances.
-        task: What was asked.
-        estimator: Has not begun.
+        scene: Scene with actuators for measured efforts and with disturbances.
+        task: Options of the estimation.
+        process: The mechanism as a process.
+        estimator: Estimator that has not begun.
         scale: Efforts that accelerate each joint by 1 rad/s^2 or m/s^2, shape (nv,).
         disturbed: Joints with an unknown effort.
-        deviations: Internal state that is estimated -> its deviation at the start.
+        deviations: Internal state to estimate -> initial standard deviation.
     """
 
     scene: Scene
@@ -53,17 +54,17 @@ class Estimation:
 
     @cached_property
     def disturbance(self) -> slice:
-        """Where the unknown efforts stand in z, in the order of `disturbed`."""
+        """Slice of the unknown efforts in z, in the order of `disturbed`."""
         return _disturbance(self.scene).efforts if self.disturbed else slice(0, 0)
 
     @cached_property
     def parameters(self) -> dict[str, int]:
-        """Numbers that are estimated -> where each stands in z."""
+        """Number to estimate -> index in z."""
         names = self.process.simulation.system.internals.names
         return {name: names.index(name) for name in self.deviations}
 
     def unknown_efforts(self, x: State) -> Array:
-        """Of the disturbed joints [N·m or N], shape (len(disturbed),).
+        """Return the unknown efforts of the disturbed joints [N·m or N], (len(disturbed),).
 
         Args:
             x: State of all joints.
@@ -72,7 +73,7 @@ class Estimation:
 
     @property
     def prior(self) -> Array:
-        """Covariance of the first state, shape (n, n)."""
+        """Covariance of the initial state, shape (n, n)."""
         task, tangent = self.task, self.process.tangent
         nz = len(self.process.start.z)
         nv = self.process.simulation.system.nv
@@ -86,34 +87,40 @@ class Estimation:
             part = _disturbance(self.scene)
             z[part.efforts.stop : part.z.stop] = _UNKNOWN_RATE * self.scale[at]
         z[list(self.parameters.values())] = list(self.deviations.values())
-        lower = tangent.lowered(self.process.start)
+        lower = tangent.restriction(self.process.start)
         P: Array = (lower * np.concatenate((deviation, z)) ** 2).dot(lower.T)
         return P
 
 
-def estimation_of(
+def build_estimation(
     scene: Scene, task: EstimateTask, measured: Sequence[str], rated: Sequence[str]
 ) -> Estimation:
-    """Make a scene ready for an estimator.
+    """Prepare a scene for an estimator.
 
     Args:
-        task: What is asked.
-        measured: Joints whose positions come with joint states.
-        rated: Joints whose velocities do.
+        task: Options of the estimation.
+        measured: Joints whose positions are in joint states.
+        rated: Joints whose velocities are in joint states.
 
     Raises:
-        SceneError: Names what is wrong and what is accepted.
+        SceneError: The task does not fit the scene; the message tells what is accepted.
     """
     where = f"{scene.name}: estimate"
     sensors = _sensors(scene, task, measured, rated)
     if not sensors:
-        raise SceneError(f"{where}: nothing is measured: neither joint states nor sensors")
-    system = made_ready(scene, task, ()).system()
+        raise SceneError(
+            f"{where}: nothing is measured: there are no joint states and no sensors in the scene"
+        )
+    system = prepare_scene(scene, task, ()).system()
     scale = effort_scale(system, scene.initial)
-    joints = _told_apart(system, scene) if task.disturbance is None else tuple(task.disturbance)
+    joints = (
+        _distinguishable_joints(system, scene)
+        if task.disturbance is None
+        else tuple(task.disturbance)
+    )
     try:
-        ready = made_ready(scene, task, joints)
-        unknowns = with_unknowns(scene, ready, sensors, task.parameters)
+        ready = prepare_scene(scene, task, joints)
+        unknowns = add_unknowns(scene, ready, sensors, task.parameters)
         process = _process(unknowns, task, scale, joints)
         estimator = _estimator(task, process, where)
     except ModelError as error:
@@ -124,49 +131,49 @@ def estimation_of(
 def _sensors(
     scene: Scene, task: EstimateTask, measured: Sequence[str], rated: Sequence[str]
 ) -> list[Sensor]:
-    """Those of the scene, and what joint states carry besides."""
-    found = list(scene.sensors)
-    own = {
-        type(s): {x.joint.name for x in found if type(x) is type(s)}
-        for s in found
+    """Return the sensors of the scene, and sensors for what joint states contain in addition."""
+    sensors = list(scene.sensors)
+    measured_joints = {
+        type(s): {x.joint.name for x in sensors if type(x) is type(s)}
+        for s in sensors
         if isinstance(s, Encoder | Tachometer)
     }
     for name in measured:
-        if name not in own.get(Encoder, ()):
+        if name not in measured_joints.get(Encoder, ()):
             part: Sensor = Encoder(scene.robot, joint=name, noise=task.position_noise)
             part.name = f"{name}.position"
-            found.append(part)
+            sensors.append(part)
     for name in rated:
-        if name not in own.get(Tachometer, ()):
+        if name not in measured_joints.get(Tachometer, ()):
             part = Tachometer(scene.robot, joint=name, noise=task.velocity_noise)
             part.name = f"{name}.velocity"
-            found.append(part)
-    return found
+            sensors.append(part)
+    return sensors
 
 
-def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
-    """The scene with what stands for measured efforts and unknown ones.
+def prepare_scene(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
+    """Return the scene with actuators for measured efforts, and with unknown efforts.
 
     Args:
-        scene: As it is read.
-        task: What is asked.
+        scene: The scene as it was read.
+        task: Options of the estimation.
         disturbed: Joints with an unknown effort.
 
     Raises:
-        ModelError: Unknown joint.
+        ModelError: A joint is unknown.
     """
-    return _disturbed(_driven(scene, task), disturbed, task.drifting)
+    return _with_disturbances(_with_measured_efforts(scene, task), disturbed, task.drifting)
 
 
-def _disturbed(scene: Scene, joints: Sequence[str], drifting: bool) -> Scene:
+def _with_disturbances(scene: Scene, joints: Sequence[str], drifting: bool) -> Scene:
     if not joints:
         return scene
     part = EffortDisturbance(scene.robot, joints, drifting=drifting)
     return scene.holding(forces=(*scene.parts.get("forces", ()), part))
 
 
-def _driven(scene: Scene, task: EstimateTask) -> Scene:
-    """The scene with efforts as inputs, where these are measured."""
+def _with_measured_efforts(scene: Scene, task: EstimateTask) -> Scene:
+    """Return the scene with efforts as inputs, if these are measured."""
     if task.inputs == "commands":
         return scene
     scene = scene.without(("actuators", "muscles"))
@@ -179,25 +186,25 @@ def _driven(scene: Scene, task: EstimateTask) -> Scene:
 
 
 def effort_scale(system: System, x: State) -> Array:
-    """Efforts that accelerate each joint alone by 1 rad/s^2 or m/s^2, shape (nv of the robot,)."""
+    """Return the efforts that accelerate each joint alone by 1 rad/s^2 or m/s^2, (nv,)."""
     M = pin.crba(system.robot.model, system.robot.model.createData(), x.q)
     return np.array(np.diag(M))
 
 
-def _told_apart(system: System, scene: Scene) -> tuple[str, ...]:
-    """Joints whose efforts move the mechanism in different ways: as many as it can move in."""
+def _distinguishable_joints(system: System, scene: Scene) -> tuple[str, ...]:
+    """Return joints whose efforts have independent effects, as many as degrees of freedom."""
     y = system.reduce(scene.initial)
     respond = system.evaluate(scene.initial, None).respond(np.eye(system.robot.model.nv))
     moved = system.integrated(respond)
-    joints, chosen, rest = scene.robot.joints, list[str](), moved.copy()
+    joints, chosen, remainder = scene.robot.joints, list[str](), moved.copy()
     floor = FIXED_BY_OTHERS * float(np.linalg.norm(moved, axis=0).max(initial=0.0))
     for _ in range(len(y.v)):
-        sizes = {j.name: float(np.linalg.norm(rest[:, j.v])) for j in joints}
-        name = max(sizes, key=lambda one: sizes[one])
+        sizes = {j.name: float(np.linalg.norm(remainder[:, j.v])) for j in joints}
+        name = max(sizes, key=lambda joint: sizes[joint])
         if not sizes[name] > max(floor, math.sqrt(np.finfo(float).eps) * floor):
             break
-        column = rest[:, scene.robot.joint(name).v] / sizes[name]
-        rest = rest - np.outer(column, column.dot(rest))
+        column = remainder[:, scene.robot.joint(name).v] / sizes[name]
+        remainder = remainder - np.outer(column, column.dot(remainder))
         chosen.append(name)
     return tuple(j.name for j in joints if j.name in chosen)
 

@@ -1,8 +1,9 @@
-"""Samples of some joints -> states of all joints, and whether these samples determine them.
+"""Reconstruction of the states of all joints from samples of some, and its determinacy.
 
-Velocities of a mechanism with rows keep J v = 0. With measured coordinates m and others u,
-J_u v_u = -J_m v_m: where J_u loses rank, at a dead centre, the others are no function of the
-measured ones, and multipliers, by J_u' lam = (M a + h - tau)_u, are not determined either.
+Velocities of a mechanism with rows satisfy J v = 0. With measured coordinates m and others u,
+J_u v_u = -J_m v_m. Where J_u loses rank, at a dead centre, the measured coordinates do not
+determine the others, and multipliers, by J_u' lam = (M a + h - tau)_u, are not determined either.
+
 Source: C. Gosselin, J. Angeles, IEEE Trans. Robotics Automation 6(3) (1990), on these
 singularities.
 """
@@ -33,32 +34,32 @@ from mbd_ros.methods.signals.differentiation import CausalDifferentiator, Sample
 
 _NEVER, _EVER = -(2**62), 2**62  # ns
 _UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE)
-_NOISY = 1_000_000  # ns: within less, noise looks like speed
-_STRIDE = 0.1  # [rad or m] that joints move at most while others have to follow on their branch
+_NOISY = 1_000_000  # ns: shortest interval for a speed, since noise dominates shorter ones
+_STRIDE = 0.1  # [rad or m] per step, so that others can follow on their branch
 _MOST_STRIDES = 100
-_SAMPLES = 8  # of the path that is looked at
+_SAMPLES = 8  # of the path ahead
 _HALVINGS = 10
 _PAIR = 2  # rows of a planar loop
-_BLIND = 1.0e12  # of amplifications that are shown
+_BLIND = 1.0e12  # upper limit of reported amplifications
 
 
 class StateReconstructor:
     """Projects a stream of joint samples, each of which may lack joints.
 
-    A missing joint starts from its coupling, or else from the last state, at the beginning from
-    `initial`, so that its branch is kept. A joint that nothing determines is held for `max_age`.
+    A missing joint starts from its coupling, or from the last state, or from `initial` at the
+    beginning, so that its branch is kept. A joint that nothing determines is held for `max_age`.
 
     Args:
-        projector: Samples to states; owned by the reconstructor from now on.
-        couplings: Those of the scene. A dependent joint whose position is not finite is missing,
-            and its jumps are no glitches but violations.
+        projector: Projector of samples to states, which is not shared.
+        couplings: Couplings of the scene. A dependent joint whose position is not finite is
+            missing; its jumps are violations of the coupling, not glitches.
         initial: State of all joints from which missing ones start.
-        tuning: How samples are judged; the cutoff is that of velocities that are not measured.
+        tuning: Limits for samples; the cutoff is for velocities that are not measured.
 
     Attributes:
         names: Joints of a sample, in the order of the velocities.
         missing: Names that the newest sample lacks.
-        held: Those among them that nothing determines.
+        held_joints: Names of those that nothing determines.
     """
 
     def __init__(
@@ -70,16 +71,18 @@ class StateReconstructor:
     ) -> None:
         joints = sorted(projector.system.robot.joints, key=lambda joint: joint.v)
         self.names = tuple(joint.name for joint in joints)
-        self._joints, self._projector = joints, projector
+        self._joints = joints
+        self._projector = projector
         self._couplings = couplings
-        self._all, self._ones = np.ones(len(joints), dtype=np.bool_), np.ones(len(joints))
+        self._all = np.ones(len(joints), dtype=np.bool_)
+        self._ones = np.ones(len(joints))
         self._independent = np.zeros(len(joints), dtype=np.bool_)
         self._independent[couplings.v_index] = True
-        self._start = self._assembled(initial)
-        self.tune(tuning)
+        self._start = self._assemble_start(initial)
+        self.set_tuning(tuning)
 
-    def tune(self, tuning: Tuning) -> None:
-        """Replace the tuning; the past is forgotten."""
+    def set_tuning(self, tuning: Tuning) -> None:
+        """Replace the tuning and discard the past."""
         limits = [joint.max_velocity * tuning.velocity_margin for joint in self._joints]
         wraps = [joint.kind == "continuous" for joint in self._joints]
         self._differentiator = CausalDifferentiator(
@@ -93,63 +96,68 @@ class StateReconstructor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard the past."""
         self._differentiator.reset()
         self.missing: tuple[str, ...] = ()
-        self.held: tuple[str, ...] = ()
-        self._last, self._is_placed = self._start, self._can_start
+        self.held_joints: tuple[str, ...] = ()
+        self._last = self._start
+        self._is_placed = self._can_start
         self._measured = self._start.q
-        self._seen = np.full(len(self.names), _NEVER, dtype=np.int64)  # measured or determined
-        self._measured_at = self._seen.copy()
+        self._determined_at = np.full(
+            len(self.names), _NEVER, dtype=np.int64
+        )  # measured or determined
+        self._measured_at = self._determined_at.copy()
 
     def observe(
         self, stamp: int, position: Array, velocity: Array, present: NDArray[np.bool_]
     ) -> ProjectedState | SampleStatus:
-        """Take a sample.
+        """Add a sample.
 
         Args:
             stamp: Time [ns].
-            position: In the order of `names` [rad or m], NaN where absent.
-            velocity: In the order of `names` [rad/s or m/s], NaN where absent.
-            present: Which of `names` the message carries, shape (len(names),).
+            position: Positions in the order of `names` [rad or m], NaN where absent.
+            velocity: Velocities in the order of `names` [rad/s or m/s], NaN where absent.
+            present: Which of `names` the message contains, shape (len(names),).
 
         Returns:
-            The nearest consistent state, or why the sample cannot be used.
+            The nearest consistent state, or the reason why the sample cannot be used.
 
         Raises:
-            SolveError: There is none; the sample leaves nothing behind.
+            SolveError: There is no consistent state; the sample is discarded.
         """
         q, v, known, measured = position, velocity, self._all, self._all
         total = position.dot(self._ones) + velocity.dot(self._ones)
         if not (math.isfinite(total) and present.all()):
             known = present & (self._independent | np.isfinite(position))
-            q, is_speed = self._filled(position, known), np.isfinite(velocity)
+            q, is_speed = self._fill_missing(position, known), np.isfinite(velocity)
             measured = known & (self._independent | is_speed)  # or derived, where independent
             v = np.where(measured, np.where(is_speed, velocity, np.nan), self._last.v)
-        before, begin = self._differentiator.memory, self._measured
+        before, begin = self._differentiator.checkpoint(), self._measured
         try:
-            found = self._take(stamp, q, v, known, measured)
+            outcome = self._judge(stamp, q, v, known, measured)
         except SolveError:
-            self._differentiator.memory, self._measured = before, begin
+            self._differentiator.restore(before)
+            self._measured = begin
             raise
-        if isinstance(found, ProjectedState):
+        if isinstance(outcome, ProjectedState):
             self._measured_at[known] = stamp
-            self._seen[known | ~found.undetermined] = stamp
-            self._last, self._is_placed = found.x, True
-        return found
+            self._determined_at[known | ~outcome.undetermined] = stamp
+            self._last = outcome.x
+            self._is_placed = True
+        return outcome
 
-    def _take(
+    def _judge(
         self, stamp: int, q: Array, v: Array, known: NDArray[np.bool_], measured: NDArray[np.bool_]
     ) -> ProjectedState | SampleStatus:
-        """Judge a sample whose holes are filled, then project it."""
-        self.missing = self.held = ()
+        """Check a sample without gaps, then project it."""
+        self.missing = self.held_joints = ()
         prepared, d = None, self._differentiator
         if not (known is self._all or known.all()):
             if not np.isfinite(q).all():
                 return SampleStatus.NOT_FINITE
-            prepared = self._prepared(stamp, q, known, measured)
+            prepared = self._prepare(stamp, q, known, measured)
             if prepared is None:
-                self._seen[known] = stamp
+                self._determined_at[known] = stamp
                 return SampleStatus.INCOMPLETE
         since = np.where(known, np.maximum(stamp - self._measured_at, _NOISY), _EVER)
         outcome = d.update(stamp, q, v, since)
@@ -158,35 +166,35 @@ class StateReconstructor:
         x = State(stamp * NANOSECOND, d.position, d.velocity)
         return self._project(Measurement(x, known, measured), prepared, q)
 
-    def _prepared(
+    def _prepare(
         self, stamp: int, q: Array, known: NDArray[np.bool_], measured: NDArray[np.bool_]
     ) -> Prepared | None:
-        """Note what is missing; None where it is neither determined nor was known not long ago."""
-        self.missing = self._named(~known)
+        """Prepare for missing joints; return None if one is neither determined nor recent."""
+        self.missing = self._names_of(~known)
         m = Measurement(State(stamp * NANOSECOND, q, self._last.v), known, measured)
         prepared = self._projector.prepare(m)
         free = prepared.undetermined if self._is_placed else ~known
-        self.held = self._named(free)
-        fresh = np.abs(stamp - self._seen[free]) <= self._max_age
+        self.held_joints = self._names_of(free)
+        fresh = np.abs(stamp - self._determined_at[free]) <= self._max_age
         return prepared if fresh.all() else None
 
     def _project(self, m: Measurement, prepared: Prepared | None, filled: Array) -> ProjectedState:
-        """In small strides, where joints have to follow on their branch."""
+        """Project in small strides, so that joints follow on their branch."""
         if prepared is None:
             self._measured = m.x.q
             return self._projector.project(m)
         begin = self._measured
         change = np.where(m.known, m.x.q - begin, 0.0)
-        strides, reached = _strides(change), self._last.q
+        strides, q_last = _strides(change), self._last.q
         for i in range(1, strides):
-            q = self._filled(begin + (i / strides) * change, m.known, reached)
-            reached = self._projector.project(m._replace(x=m.x._replace(q=q))).x.q
-        self._measured = q = self._filled(m.x.q, m.known, reached)
+            q = self._fill_missing(begin + (i / strides) * change, m.known, q_last)
+            q_last = self._projector.project(m._replace(x=m.x._replace(q=q))).x.q
+        self._measured = q = self._fill_missing(m.x.q, m.known, q_last)
         m = m._replace(x=m.x._replace(q=q))
         return self._projector.project(m, prepared if (q == filled).all() else None)
 
-    def _assembled(self, initial: State) -> State:
-        """The consistent state from which missing joints start, if the mechanism closes there."""
+    def _assemble_start(self, initial: State) -> State:
+        """Return the consistent state from which missing joints start, if there is one."""
         try:
             x = assemble(self._projector.system, initial)
         except SolveError:
@@ -195,16 +203,18 @@ class StateReconstructor:
         self._can_start = True
         return x
 
-    def _filled(self, q: Array, known: NDArray[np.bool_], last: Array | None = None) -> Array:
-        """A configuration whose unknown joints follow their coupling, or stay at the last one."""
+    def _fill_missing(
+        self, q: Array, known: NDArray[np.bool_], last: Array | None = None
+    ) -> Array:
+        """Return a configuration whose unknown joints follow couplings, or keep their value."""
         q = np.where(known, q, self._last.q if last is None else last)
         for pair in () if known.all() else self._couplings.pairs:
             if not known[pair.child_v]:
                 q[pair.child_q] = pair.function(q.item(pair.parent_q))[0]
         return q
 
-    def _named(self, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
-        return tuple(name for name, is_one in zip(self.names, chosen, strict=True) if is_one)
+    def _names_of(self, mask: NDArray[np.bool_]) -> tuple[str, ...]:
+        return tuple(name for name, is_chosen in zip(self.names, mask, strict=True) if is_chosen)
 
 
 def _strides(change: Array) -> int:
@@ -212,39 +222,42 @@ def _strides(change: Array) -> int:
 
 
 class Determinations:
-    """Looks at the rows of a system along its way.
+    """Tests whether measurements determine the rows of a system, now and on its path.
 
     Args:
         measured: Joints that are measured.
-        ahead: Time that is looked ahead [s].
+        ahead: Time ahead that is tested [s].
         limit: Amplification that counts as singular.
 
     Attributes:
-        asks: Whether there is anything to ask: rows, and coordinates that are not measured.
+        is_needed: Whether there is anything to test: rows, and coordinates that are not measured.
     """
 
     def __init__(
         self, system: System, measured: Sequence[str], ahead: float = 0.05, limit: float = 100.0
     ) -> None:
-        self._system, self._ahead, self._limit = system, ahead, limit
+        self._system = system
+        self._ahead = ahead
+        self._limit = limit
         nv = system.nv
-        lifted = system.expand(State(0.0, system.reduce(_neutral(system)).q, np.zeros(nv)))
+        neutral = system.expand(State(0.0, system.reduce(_neutral(system)).q, np.zeros(nv)))
         is_known = np.zeros(nv, dtype=np.bool_)
         for name in measured:
             v = system.robot.joint(name).v
-            is_known = is_known | _moves(system, lifted, v)
-        self._known, self._others = np.flatnonzero(is_known), np.flatnonzero(~is_known)
-        self.asks = bool(system.held.rows) and len(self._others) > 0
+            is_known = is_known | _moves(system, neutral, v)
+        self._known = np.flatnonzero(is_known)
+        self._others = np.flatnonzero(~is_known)
+        self.is_needed = bool(system.bilateral.rows) and len(self._others) > 0
         self._times = np.linspace(0.0, ahead, _SAMPLES + 1)[1:].tolist()
 
     def at(self, y: State, a: Array) -> Determination:
-        """Determination at a state and on its way.
+        """Return the determination at a state and on its path.
 
         Args:
-            y: State of what is integrated.
+            y: State as integrated.
             a: Its accelerations, shape (nv,).
         """
-        if not self.asks:
+        if not self.is_needed:
             return Determination(0.0, 1.0, np.inf)
         J = self._rows(y)
         here, condition = self._amplified(J)
@@ -264,7 +277,7 @@ class Determinations:
     def _crossing(
         self, y: State, a: Array, between: tuple[float, float], size: float, floor: float
     ) -> float:
-        """The first time between two at which rows are singular [s]."""
+        """Return the first time between two at which rows are singular [s]."""
         low, high = between
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
@@ -283,8 +296,8 @@ class Determinations:
         return y._replace(t=y.t + t, q=q)
 
     def _rows(self, y: State) -> Array:
-        """Independent rows, by what is known and by the others."""
-        return self._system.held.jacobian(y.t, y.q)
+        """Return the Jacobian of all bilateral rows."""
+        return self._system.bilateral.jacobian(y.t, y.q)
 
     def _amplified(self, J: Array) -> tuple[float, float]:
         sizes = np.linalg.norm(J, axis=1, keepdims=True)
@@ -298,7 +311,7 @@ class Determinations:
         return length, min(condition, _BLIND)
 
     def _size(self, J: Array) -> float:
-        """A measure that is 0 where rows are singular; it changes its sign where that can be."""
+        """Return a measure that is 0 where rows are singular, with a sign where possible."""
         others = J[:, self._others]
         m, n = others.shape
         if m == n == _PAIR:
@@ -315,24 +328,23 @@ def _neutral(system: System) -> State:
 
 
 def _moves(system: System, x: State, v: int) -> NDArray[np.bool_]:
-    """Which coordinates of what is integrated a joint goes by, shape (nv,) of bool."""
-    found = np.zeros(system.nv, dtype=np.bool_)
+    """Return which integrated coordinates move a joint, booleans of shape (nv,)."""
+    moves = np.zeros(system.nv, dtype=np.bool_)
     y = system.reduce(x)
     for i, unit in enumerate(np.eye(system.nv)):
-        found[i] = system.expand(y._replace(v=unit)).v[v] != 0.0
-    return found
+        moves[i] = system.expand(y._replace(v=unit)).v[v] != 0.0
+    return moves
 
 
 class Determination(NamedTuple):
-    """How well what is measured determines the rest.
+    """How well measured coordinates determine the others.
 
     Attributes:
-        amplification: Largest change of a coordinate that is not measured, by a change of length
-            one of those that are.
-        of_multipliers: Condition number of the rows by what is not measured: the factor by which
+        amplification: Largest change of an unmeasured coordinate for a change of length one of the
+            measured ones.
+        of_multipliers: Condition number of the rows by unmeasured coordinates, the factor by which
             errors of forces grow.
-        time: Until a singular configuration on the way that the mechanism goes [s]; inf without
-            one within the time that is looked ahead.
+        time: Time until a singular configuration on the path [s]; inf if there is none ahead.
     """
 
     amplification: float

@@ -1,4 +1,4 @@
-"""The `estimate` section of a task file: what is estimated of a scene, and from what."""
+"""The section `estimate` of a task file: the estimator, its inputs and its unknowns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,29 +13,29 @@ Inputs = Literal["efforts", "commands", "none"]
 
 @dataclass(frozen=True)
 class EstimateTask:
-    """What is estimated, and from what.
+    """Options of an estimation.
 
     Args:
         estimator: `type` and arguments of an estimator.
-        inputs: What moves the mechanism: measured efforts on its joints, commands of its
-            actuators, or nothing.
-        disturbance: Joints with an unknown effort; None for all that can be told apart, empty for
-            none.
-        model_noise: Density of the accelerations that the model leaves out.
+        inputs: Source of the inputs: measured efforts of joints, commands of actuators, or none.
+        disturbance: Joints with an unknown effort; None for as many as can be distinguished, empty
+            for none.
+        model_noise: Density of the accelerations that the model omits.
         disturbance_noise: Density of the change of unknown efforts, as accelerations that they
-            cause; of the change of their rates, where they drift.
-        drifting: Whether unknown efforts have rates, which are estimated too.
-        lag: How long after a sample measurements still count for its estimate, offline and with
-            the Kalman filter: None for all that follow, 0 for none.
-        position_noise: Deviation of positions of joint states without a sensor in the scene.
-        velocity_noise: Of their velocities.
-        position_deviation: Of positions at the start.
-        velocity_deviation: Of velocities at the start.
-        parameters: Numbers of the scene that are estimated, and the deviation with which each is
-            known: `<force>.<argument>`, `<link>.mass`, `<frame>.payload` for a mass that it
-            carries, `<sensor>.offset`.
-        parameter_time: In which such a number may change by its deviation.
-        limits: Whether joints keep their limits, where an estimator has bounds.
+            cause; of the change of their rates, if they drift.
+        drifting: Whether unknown efforts have rates, which are estimated as well.
+        lag: Time after a sample during which measurements improve its estimate, offline and with
+            the Kalman filter: None for all later measurements, 0 for none.
+        position_noise: Standard deviation of positions in joint states without a sensor in the
+            scene.
+        velocity_noise: Standard deviation of velocities in joint states.
+        position_deviation: Standard deviation of the initial positions.
+        velocity_deviation: Standard deviation of the initial velocities.
+        parameters: Numbers of the scene to estimate, and their initial standard deviations:
+            `<force>.<argument>`, `<link>.mass`, `<frame>.payload` for a mass that it carries,
+            `<sensor>.offset`.
+        parameter_time: Time in which such a number may change by its deviation.
+        limits: Whether joints keep their limits, in estimators with bounds.
     """
 
     estimator: Mapping[str, Any] = field(default_factory=lambda: {"type": "extended_kalman"})
@@ -56,11 +56,11 @@ class EstimateTask:
     limits: bool = True
 
 
-def build_task(site: Site, given: Any) -> EstimateTask:
-    """The `estimate` section of a task file.
+def build_task(site: Site, entry: Any) -> EstimateTask:
+    """Build the `estimate` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names file, key and what is accepted.
     """
-    task: EstimateTask = schema.call(EstimateTask, given, site.where)
+    task: EstimateTask = schema.call(EstimateTask, entry, site.where)
     return task

@@ -1,4 +1,4 @@
-"""Which starts lead to a gait, and which fall."""
+"""Basin of attraction: which starts lead to a gait, and which fall."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mbd_ros.features.gait.search import (
     Gait,
     SceneFamily,
     Start,
-    candidates,
-    flow_of,
+    build_flow,
     grid_starts,
-    placed_at,
+    place_start,
+    travel_candidates,
 )
 from mbd_ros.features.gait.task import BasinTask, gait_task
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
@@ -29,33 +29,34 @@ from mbd_ros.scene.reader import load_scene
 
 FELL, UNDECIDED, NOT_PLACED = 0, -1, -2
 _TASKS_A_WORKER = 8
-_LONGEST_CYCLE = 5.0  # periods within which a cycle ends
+_LONGEST_CYCLE = 5.0  # periods: longest duration of a cycle
 
 
-def basin_of(
+def scan_basin(
     family: SceneFamily,
     gaits: Sequence[Gait],
-    asked: BasinTask,
+    options: BasinTask,
     workers: int | None,
     scheduler: str | None,
 ) -> list[Outcome]:
-    """What becomes of every start of a grid.
+    """Simulate every start of a grid until its outcome is known.
 
     Args:
         family: The scene and its task.
-        gaits: The gaits; those that are stable are looked for, or all where none is.
-        workers: How many cores work at the same time.
-        scheduler: Of a Dask cluster.
+        gaits: The gaits; only stable ones count, unless there are none.
+        options: Grid, cycles and tolerance.
+        workers: Number of processes.
+        scheduler: Address of a Dask cluster.
 
     Raises:
         DataError: A worker has failed.
     """
-    scene, starts = family.scene, list(grid_starts(asked.grid))
-    order = _order(family, gaits, asked)
+    scene, starts = family.scene, list(grid_starts(options.grid))
+    order = _order(family, gaits, options)
     alone = scene.path is None or scene.code or (workers == 1 and scheduler is None)
     if alone or len(starts) < 2:
-        found = _scan(scene, order, starts)
-        return [Outcome(start, *each) for start, each in zip(starts, found, strict=True)]
+        results = _scan(scene, order, starts)
+        return [Outcome(start, *pair) for start, pair in zip(starts, results, strict=True)]
     with open_workers(scheduler, workers or cores()) as opened:
         size = -(-len(starts) // (_TASKS_A_WORKER * max(opened.count, 1)))
         tasks = [
@@ -68,17 +69,17 @@ def basin_of(
         if done[task.name].failure:
             raise DataError(f"{task.name}: {done[task.name].failure}")
         pairs = zip(task.argument["starts"], done[task.name].value, strict=True)
-        outcomes += [Outcome(start, *each) for start, each in pairs]
+        outcomes += [Outcome(start, *result) for start, result in pairs]
     return outcomes
 
 
 class Outcome(NamedTuple):
-    """What became of a start.
+    """Outcome of a start.
 
     Attributes:
         start: Values of joints.
-        number: Of the gait, from 1 on, or one of `FELL`, `UNDECIDED`, `NOT_PLACED`.
-        cycles: Cycles until that was known.
+        number: Number of the gait, from 1 on, or one of `FELL`, `UNDECIDED`, `NOT_PLACED`.
+        cycles: Cycles until the outcome was known.
     """
 
     start: Start
@@ -86,7 +87,7 @@ class Outcome(NamedTuple):
     cycles: int
 
 
-def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict[str, Any]:
+def _order(family: SceneFamily, gaits: Sequence[Gait], options: BasinTask) -> dict[str, Any]:
     stable = [g.motion.is_stable for g in gaits]
     chosen = [(i, g) for i, g in enumerate(gaits, 1) if stable[i - 1] or not any(stable)]
     first, task = gaits[0], family.task
@@ -96,34 +97,35 @@ def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict
         "task": {"integrator": dict(task.integrator), "longest": _LONGEST_CYCLE * period}
         | ({} if task.event is None else {"event": task.event}),
         "travel": first.travel.directions.tolist(),
-        "gaits": [[i, *_listed(g.motion.state)] for i, g in chosen],
-        "start": _listed(first.motion.state),
-        "cycles": asked.cycles,
-        "near": asked.near,
+        "gaits": [[i, *_to_list(g.motion.state)] for i, g in chosen],
+        "start": _to_list(first.motion.state),
+        "cycles": options.cycles,
+        "near": options.near,
     }
 
 
-def _listed(x: State) -> list[Any]:
+def _to_list(x: State) -> list[Any]:
     return [x.t, x.q.tolist(), x.v.tolist(), x.z.tolist(), list(x.mode)]
 
 
 def _scan(
     scene: Scene, order: Mapping[str, Any], starts: Sequence[Start]
 ) -> list[tuple[int, int]]:
-    flow = flow_of(scene, gait_task(order["task"], "basin"))
-    coordinates = candidates(flow.system)
+    """Return number and cycles of each start."""
+    flow = build_flow(scene, gait_task(order["task"], "basin"))
+    coordinates = travel_candidates(flow.system)
     directions = np.array(order["travel"]).reshape(-1, len(coordinates))
     travel = Travel(coordinates, directions)
     gaits = {number: _state(listed) for number, *listed in order["gaits"]}
-    first, found = _state(order["start"]), []
+    first, outcomes = _state(order["start"]), []
     for start in starts:
         try:
-            x = placed_at(scene, flow, first, start)
+            x = place_start(scene, flow, first, start)
         except SolveError:
-            found.append((NOT_PLACED, 0))
+            outcomes.append((NOT_PLACED, 0))
             continue
-        found.append(_followed(flow, travel, x, gaits, order))
-    return found
+        outcomes.append(_follow(flow, travel, x, gaits, order))
+    return outcomes
 
 
 def _state(listed: Sequence[Any]) -> State:
@@ -131,7 +133,7 @@ def _state(listed: Sequence[Any]) -> State:
     return State(t, np.array(q), np.array(v), np.array(z), tuple(mode))
 
 
-def _followed(
+def _follow(
     flow: SimulatedFlow,
     travel: Travel,
     x: State,
@@ -144,18 +146,18 @@ def _followed(
         except FallError:
             return FELL, cycle
         for number, gait in gaits.items():
-            apart = flow.minus(travel.back(flow, x, gait), gait)
-            if float(np.abs(apart).max()) < float(order["near"]):
+            difference = flow.minus(travel.move_back(flow, x, gait), gait)
+            if float(np.abs(difference).max()) < float(order["near"]):
                 return number, cycle
     return UNDECIDED, int(order["cycles"])
 
 
 def scan(order: Mapping[str, Any]) -> list[list[int]]:
-    """Some of the starts, in a worker; number and cycles of each."""
-    return [list(one) for one in _scan(load_scene(order["scene"]), order, order["starts"])]
+    """Scan some of the starts in a worker, and return number and cycles of each."""
+    return [list(outcome) for outcome in _scan(load_scene(order["scene"]), order, order["starts"])]
 
 
-def outcome_word(number: int) -> str:
-    """What became of a start, for people."""
-    words = {FELL: "fell", UNDECIDED: "undecided", NOT_PLACED: "not placed"}
-    return words.get(number, f"gait {number}")
+def outcome_text(number: int) -> str:
+    """Return the outcome of a start for people."""
+    texts = {FELL: "fell", UNDECIDED: "undecided", NOT_PLACED: "not placed"}
+    return texts.get(number, f"gait {number}")

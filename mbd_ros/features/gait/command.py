@@ -1,4 +1,4 @@
-"""Words of `mbd-ros gait`."""
+"""Command line of `mbd-ros gait`."""
 
 import argparse
 
@@ -10,31 +10,32 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `gait` understands."""
+    """Add the options of `gait` to a parser."""
     add_scene(parser)
     parser.add_argument(
         "task",
         type=path_word,
         nargs="?",
-        help="task file with a section gait (default: a gait near the start of the scene)",
+        help="Task file with a section gait. By default the search starts at the start of the "
+        "scene.",
     )
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
-        help="motion of the first gait; .npz and .parquet hold all tables, beside a .csv stand "
-        "OUT.gaits.csv, OUT.branches.csv and OUT.basin.csv",
+        help="Motion of the first gait; .npz and .parquet hold all tables, a .csv comes with "
+        "OUT.gaits.csv, OUT.branches.csv and OUT.basin.csv.",
     )
-    parser.add_argument("--page", type=path_word, help="a page with tables and pictures: .html")
+    parser.add_argument("--page", type=path_word, help="HTML page with tables and pictures.")
     add_workers(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.gait.job import gait_to
     from mbd_ros.scene.reader import load_scene
 
-    where = arguments.workers, arguments.scheduler
+    workers = arguments.workers, arguments.scheduler
     scene = load_scene(arguments.scene)
-    gait_to(scene, arguments.task, arguments.out, arguments.page, say, *where)
+    gait_to(scene, arguments.task, arguments.out, arguments.page, say, *workers)
     return OK

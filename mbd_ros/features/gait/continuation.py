@@ -1,7 +1,7 @@
-"""Branches of gaits along a parameter, by pseudo-arclength, and what changes along them.
+"""Continuation of gaits along a parameter by pseudo-arclength, with their bifurcations.
 
-Folds, period doublings and torus bifurcations are located where their test functions change sign;
-from a doubling the branch of twice the period is followed, too.
+Folds, period doublings and torus bifurcations are located where their test functions change sign.
+From a doubling, the branch of twice the period is followed as well.
 """
 
 from __future__ import annotations
@@ -34,33 +34,35 @@ DOUBLING, FOLD, TORUS = "period doubling", "fold", "torus bifurcation"
 Family = Callable[[float], ReturnMap]
 """The return map at a value of the parameter."""
 
-_FIRST = 0.02  # step, in units of state and range
+_FIRST = 0.02  # first step, in units of state and range
 _LONGEST, _SHORTEST = 0.1, 1.0e-6  # steps
-_PROBE = 1.0e-4  # of the range: difference by the parameter
+_PROBE = 1.0e-4  # of the range: step of the difference quotient by the parameter
 _CORRECTIONS = 16  # of a point, at most
-_RENEWALS = 4  # of its derivatives, at most
-_GAIN = 0.5  # of a correction, below which derivatives are computed anew
-_LOCATED = 1.0e-9  # of a step: where a test function is zero
+_MOST_DERIVATIVES = 4  # evaluations of the derivatives of a point, at most
+_GAIN = 0.5  # of a correction; with less gain, derivatives are evaluated again
+_LOCATED = 1.0e-9  # of a step: accuracy of a zero of a test function
 _TRIES = 6  # steps onto a doubled branch
-_ASIDE = 2.0e-3  # of the state: the first of them
-_APART = 1.0e-5  # of the state: a motion that repeats after fewer cycles
-_ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
+_FIRST_DOUBLED = 2.0e-3  # of the state: the first of them
+_APART = 1.0e-5  # of the state: a smaller residual is a motion that repeats after fewer cycles
+_ROUNDING = 1.0e-9  # of the range: rounding of a value that sine and cosine define
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """Follows periodic motions along a parameter.
+    """Pseudo-arclength continuation of periodic motions along a parameter.
 
     The unknowns are the state before the event of the section and the parameter, in units of its
-    range; each point is on a plane across the tangent of the branch, so that folds are passed.
+    range. Each point is on a plane across the tangent of the branch, so that folds are passed.
 
     Source: H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems,
     in: Applications of Bifurcation Theory, 1977, 359-384.
 
     Attributes:
-        family: The return map at a value of the parameter.
-        most: Points of one branch.
-        notice: Is called with every new point.
+        family: Return map for a value of the parameter.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        most: Largest number of points of a branch.
+        notice: Callback that receives every new point.
     """
 
     family: Family
@@ -69,68 +71,70 @@ class Continuation:
     most: int = 200
     notice: Callable[[BranchPoint], None] = lambda point: None
 
-    def branch(self, start: PeriodicMotion, parameter: float, way: int, cycles: int = 1) -> Branch:
-        """The branch through a motion.
+    def branch(
+        self, start: PeriodicMotion, parameter: float, direction: int, cycles: int = 1
+    ) -> Branch:
+        """Follow the branch through a motion.
 
         Args:
-            start: Motion to begin with.
+            start: Initial motion.
             parameter: Its value of the parameter.
-            way: 1 to larger values, -1 to smaller ones, at first.
-            cycles: After how many it repeats.
+            direction: 1 towards larger values at first, -1 towards smaller ones.
+            cycles: Cycles after which the motion repeats.
         """
         guess = np.zeros(len(start.derivative) + 1)
-        guess[-1] = float(way)
-        first = self._point(start, parameter, guess, cycles)
-        return self._followed(first, cycles)
+        guess[-1] = float(direction)
+        first = self._first_point(start, parameter, guess, cycles)
+        return self._follow(first, cycles)
 
-    def doubled(self, at: BranchPoint, cycles: int) -> Branch:
-        """The branch of motions that repeat after twice as many cycles.
+    def follow_doubling(self, at: BranchPoint, cycles: int) -> Branch:
+        """Follow the branch of motions that repeat after twice as many cycles.
 
         Args:
-            at: A doubling on a branch.
-            cycles: After how many the motions of that branch repeat.
+            at: A period doubling on a branch.
+            cycles: Cycles after which the motions of that branch repeat.
 
         Raises:
-            SolveError: No motion was found beside it.
+            SolveError: No such motion was found.
         """
         values, vectors = np.linalg.eig(at.motion.derivative)
-        aside = vectors[:, np.abs(values + 1.0).argmin()].real
-        aside = np.append(aside, 0.0)
-        aside -= aside.dot(at.tangent) * at.tangent  # or the plane would meet the old branch, too
-        at = at._replace(tangent=aside / np.linalg.norm(aside), mark="")
-        step = _ASIDE
+        direction = vectors[:, np.abs(values + 1.0).argmin()].real
+        direction = np.append(direction, 0.0)
+        direction -= direction.dot(at.tangent) * at.tangent  # so that the plane misses this branch
+        at = at._replace(tangent=direction / np.linalg.norm(direction), mark="")
+        step = _FIRST_DOUBLED
         for _ in range(_TRIES):
-            found = self._next(at, step, 2 * cycles, is_aside=True)
-            if found is not None and not self._repeats(found, cycles):
-                return self._followed(found, 2 * cycles, step, cycles)
+            point = self._next(at, step, 2 * cycles, is_aside=True)
+            if point is not None and not self._repeats(point, cycles):
+                return self._follow(point, 2 * cycles, step, cycles)
             step *= 2.0
         raise SolveError(f"no motion of {2 * cycles} cycles found beside the period doubling")
 
     def _repeats(self, point: BranchPoint, cycles: int) -> bool:
-        """Whether a motion repeats after fewer cycles."""
+        """Return whether a motion repeats after fewer cycles."""
         passage = self._map(point.parameter, cycles).passage(point.motion.passage.begin)
         return bool(np.abs(passage.residual).max() < _APART)
 
-    def _followed(
+    def _follow(
         self, first: BranchPoint, cycles: int, step: float = _FIRST, fewer: int = 0
     ) -> Branch:
-        """The branch from a point on, which is not that of motions that repeat after fewer."""
+        """Follow a branch from a point, until its motions repeat after `fewer` cycles."""
         points = [first]
         self.notice(first)
         while len(points) < self.most:
-            found = self._next(points[-1], step, cycles)
-            if found is None or (fewer and self._repeats(found, fewer)):
+            point = self._next(points[-1], step, cycles)
+            if point is None or (fewer and self._repeats(point, fewer)):
                 step *= 0.5
                 if step < _SHORTEST:
                     return Branch(tuple(points), cycles, "no motion was found beyond")
                 continue
-            point, before, step = found, points[-1], min(_LONGEST, 2.0 * step)
+            before, step = points[-1], min(_LONGEST, 2.0 * step)
             if not self.low <= point.parameter <= self.high:
                 last = self._at_end(before, point, cycles)
                 if last is not None:
-                    self._add(points, [*self._marked(before, last, cycles), last])
+                    self._add(points, [*self._marked_points(before, last, cycles), last])
                 return Branch(tuple(points), cycles, "end of the range")
-            self._add(points, [*self._marked(before, point, cycles), point])
+            self._add(points, [*self._marked_points(before, point, cycles), point])
         return Branch(tuple(points), cycles, f"{self.most} points")
 
     def _add(self, points: list[BranchPoint], more: list[BranchPoint]) -> None:
@@ -138,44 +142,46 @@ class Continuation:
             points.append(point)
             self.notice(point)
 
-    def _marked(self, one: BranchPoint, other: BranchPoint, cycles: int) -> list[BranchPoint]:
-        """The points between two others at which something happens."""
-        found = []
-        length = self._length(one, other)
-        for mark in changes(one, other):
+    def _marked_points(
+        self, first: BranchPoint, second: BranchPoint, cycles: int
+    ) -> list[BranchPoint]:
+        """Return the bifurcations between two points."""
+        bifurcations = []
+        length = self._length(first, second)
+        for mark in bifurcations_between(first, second):
 
             def height(step: float, mark: str = mark) -> float:
-                point = self._next(one, step, cycles)
+                point = self._next(first, step, cycles)
                 if point is None:
                     raise SolveError(f"a {mark} could not be located")
-                return test(mark, point)
+                return test_function(mark, point)
 
-            ends = (0.0, test(mark, one)), (length, test(mark, other))
+            ends = (0.0, test_function(mark, first)), (length, test_function(mark, second))
             try:
                 step = sign_change(height, *ends, _LOCATED * length)
-                at = self._next(one, step, cycles)
+                at = self._next(first, step, cycles)
             except MbdError:
                 at = None
             if at is not None:
-                found.append((step, at._replace(mark=mark)))
-        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
+                bifurcations.append((step, at._replace(mark=mark)))
+        return [point for _, point in sorted(bifurcations, key=lambda pair: pair[0])]
 
-    def _length(self, one: BranchPoint, other: BranchPoint) -> float:
-        """Step from one point whose plane the other one is on."""
-        way = self.family(one.parameter)
-        apart = way.flow.minus(other.motion.passage.begin, one.motion.passage.begin)
-        moved = np.append(apart, (other.parameter - one.parameter) / self._range)
-        return float(moved.dot(one.tangent))
+    def _length(self, first: BranchPoint, second: BranchPoint) -> float:
+        """Return the step from a point to the plane of another one."""
+        map_ = self.family(first.parameter)
+        difference = map_.flow.minus(second.motion.passage.begin, first.motion.passage.begin)
+        displacement = np.append(difference, (second.parameter - first.parameter) / self._range)
+        return float(displacement.dot(first.tangent))
 
-    def _at_end(self, one: BranchPoint, beyond: BranchPoint, cycles: int) -> BranchPoint | None:
-        """The point at the end of the range, between two others; None where it is not found."""
+    def _at_end(self, last: BranchPoint, beyond: BranchPoint, cycles: int) -> BranchPoint | None:
+        """Return the point at the end of the range, between two others; None if there is none."""
         value = self.low if beyond.parameter < self.low else self.high
-        way = self.family(value).repeated(cycles)
-        part = (value - one.parameter) / (beyond.parameter - one.parameter)
-        y = _between(way, one.motion.passage.begin, beyond.motion.passage.begin, part)
+        map_ = self.family(value).repeated(cycles)
+        part = (value - last.parameter) / (beyond.parameter - last.parameter)
+        y = _between(map_, last.motion.passage.begin, beyond.motion.passage.begin, part)
         try:
-            motion = newton(way, way.passage(y))
-            return self._point(motion, value, beyond.tangent, cycles)
+            motion = newton(map_, map_.passage(y))
+            return self._first_point(motion, value, beyond.tangent, cycles)
         except (FallError, SolveError):
             return None
 
@@ -186,48 +192,50 @@ class Continuation:
     def _next(
         self, at: BranchPoint, step: float, cycles: int, *, is_aside: bool = False
     ) -> BranchPoint | None:
-        """The point on the plane across the tangent, a step away; None where there is none.
+        """Return the next point on the plane across the tangent; None where there is none.
 
-        Newton's method with the derivatives of the point before it, which Broyden's updates keep
-        near those of the guesses: a derivative costs as much as many passages. Where that gains
-        nothing they are computed anew, and where the step leads off the branch.
+        Newton's method uses the derivatives of the point before, with Broyden's updates, because a
+        derivative costs as much as many passages. Derivatives are evaluated again where a
+        correction gains little, and where the step leads off the branch.
         """
         parameter = at.parameter + step * at.tangent[-1] * self._range
-        system, renewed = np.vstack((at.slopes, at.tangent)), 0
+        system, renewals = np.vstack((at.slopes, at.tangent)), 0
         try:
             flow = self._map(parameter, cycles).flow
             y = flow.plus(at.motion.passage.begin, step * at.tangent[:-1])
             passage = self._map(parameter, cycles).passage(y)
-            miss = self._miss(at, step, passage, parameter)
+            residual = self._equation_residual(at, step, passage, parameter)
             if is_aside:
                 slopes, _ = self._slopes(passage, parameter, cycles)
                 system = np.vstack((slopes, at.tangent))
             for _ in range(_CORRECTIONS):
-                if is_closed(passage) and abs(miss[-1]) < _LOCATED:
-                    return self._arrived(at, passage, parameter, cycles)
-                change = np.asarray(np.linalg.solve(system, -miss), dtype=np.float64)
+                if is_closed(passage) and abs(residual[-1]) < _LOCATED:
+                    return self._branch_point(at, passage, parameter, cycles)
+                change = np.asarray(np.linalg.solve(system, -residual), dtype=np.float64)
                 parameter += change[-1] * self._range
                 passage = self._map(parameter, cycles).passage(
                     flow.plus(passage.begin, change[:-1])
                 )
-                miss, last = self._miss(at, step, passage, parameter), miss
-                if np.linalg.norm(miss) < _GAIN * np.linalg.norm(last):
-                    error = miss - last - system.dot(change)
+                last = residual
+                residual = self._equation_residual(at, step, passage, parameter)
+                if np.linalg.norm(residual) < _GAIN * np.linalg.norm(last):
+                    error = residual - last - system.dot(change)
                     system += np.outer(error, change) / change.dot(change)
-                elif is_accepted(passage) and abs(miss[-1]) < _LOCATED:
-                    return self._arrived(at, passage, parameter, cycles)
-                elif renewed == _RENEWALS:
+                elif is_accepted(passage) and abs(residual[-1]) < _LOCATED:
+                    return self._branch_point(at, passage, parameter, cycles)
+                elif renewals == _MOST_DERIVATIVES:
                     return None
                 else:
                     slopes, _ = self._slopes(passage, parameter, cycles)
-                    system, renewed = np.vstack((slopes, at.tangent)), renewed + 1
+                    system, renewals = np.vstack((slopes, at.tangent)), renewals + 1
         except (FallError, SolveError, np.linalg.LinAlgError):
             return None
         return None
 
-    def _arrived(
+    def _branch_point(
         self, at: BranchPoint, passage: Passage, parameter: float, cycles: int
     ) -> BranchPoint:
+        """Return the point of a passage, with new derivatives."""
         slopes, derivative = self._slopes(passage, parameter, cycles)
         motion = PeriodicMotion(passage, derivative, multipliers(derivative))
         return BranchPoint(parameter, motion, _tangent(slopes, at.tangent), slopes)
@@ -235,14 +243,16 @@ class Continuation:
     def _map(self, parameter: float, cycles: int) -> ReturnMap:
         return self.family(parameter).repeated(cycles)
 
-    def _miss(self, at: BranchPoint, step: float, passage: Passage, parameter: float) -> Array:
-        """What is left of the return map, then of the plane, shape (n + 1,)."""
+    def _equation_residual(
+        self, at: BranchPoint, step: float, passage: Passage, parameter: float
+    ) -> Array:
+        """Return the residuals of the return map and of the plane, shape (n + 1,)."""
         flow = self.family(parameter).flow
-        apart = flow.minus(passage.begin, at.motion.passage.begin)
-        moved = np.append(apart, (parameter - at.parameter) / self._range)
-        return np.append(passage.residual, float(moved.dot(at.tangent)) - step)
+        difference = flow.minus(passage.begin, at.motion.passage.begin)
+        displacement = np.append(difference, (parameter - at.parameter) / self._range)
+        return np.append(passage.residual, float(displacement.dot(at.tangent)) - step)
 
-    def _point(
+    def _first_point(
         self, motion: PeriodicMotion, parameter: float, guess: Array, cycles: int
     ) -> BranchPoint:
         slopes, _ = self._slopes(motion.passage, parameter, cycles, motion.derivative)
@@ -251,13 +261,13 @@ class Continuation:
     def _slopes(
         self, passage: Passage, parameter: float, cycles: int, derivative: Array | None = None
     ) -> tuple[Array, Array]:
-        """Derivative of the residual by state and parameter, (n, n + 1), and that of the map."""
+        """Return the derivatives of the residual, shape (n, n + 1), and of the map, (n, n)."""
         if derivative is None:
             derivative = self.family(parameter).repeated(cycles).derivative(passage)
         ends = []
         for side in (1.0, -1.0):
-            way = self.family(parameter + side * _PROBE * self._range).repeated(cycles)
-            ends.append(way.passage(passage.begin).residual)
+            map_ = self.family(parameter + side * _PROBE * self._range).repeated(cycles)
+            ends.append(map_.passage(passage.begin).residual)
         by_parameter = (ends[0] - ends[1]) / (2.0 * _PROBE)
         return np.column_stack((derivative - np.eye(len(derivative)), by_parameter)), derivative
 
@@ -266,10 +276,12 @@ class BranchPoint(NamedTuple):
     """A periodic motion at one value of a parameter.
 
     Attributes:
-        tangent: Direction of the branch: of the state before the event of the section, then of
-            the parameter in units of its range; of length one, shape (n + 1,).
+        parameter: Value of the parameter.
+        motion: The motion.
+        tangent: Direction of the branch, of length 1, shape (n + 1,): in the state before the
+            event of the section, then in the parameter in units of its range.
         slopes: Derivative of the residual by the same, shape (n, n + 1).
-        mark: What happens there; empty for an ordinary point.
+        mark: Kind of bifurcation; empty for an ordinary point.
     """
 
     parameter: float
@@ -283,9 +295,9 @@ class Branch(NamedTuple):
     """Periodic motions along a parameter.
 
     Attributes:
-        points: In the order of the branch.
-        cycles: Cycles after which they repeat.
-        ended: Why it ends.
+        points: Points in the order of the branch.
+        cycles: Cycles after which the motions repeat.
+        ended: Reason why the branch ends.
     """
 
     points: tuple[BranchPoint, ...]
@@ -293,145 +305,148 @@ class Branch(NamedTuple):
     ended: str
 
     @property
-    def marks(self) -> tuple[BranchPoint, ...]:
-        """The points at which something happens."""
+    def bifurcations(self) -> tuple[BranchPoint, ...]:
+        """Bifurcations on the branch."""
         return tuple(point for point in self.points if point.mark)
 
 
-def changes(one: BranchPoint, other: BranchPoint) -> Iterator[str]:
-    """What happens between two points of a branch: folds, doublings, tori."""
+def bifurcations_between(first: BranchPoint, second: BranchPoint) -> Iterator[str]:
+    """Yield the kinds of bifurcations between two points: folds, doublings, tori."""
     for mark in (FOLD, DOUBLING, TORUS):
-        if test(mark, one) * test(mark, other) < 0.0:
+        if test_function(mark, first) * test_function(mark, second) < 0.0:
             yield mark
 
 
-def test(mark: str, point: BranchPoint) -> float:
-    """A number that changes its sign where something happens.
+def test_function(mark: str, point: BranchPoint) -> float:
+    """Return the test function of a kind of bifurcation, which changes its sign there.
 
     Args:
-        mark: A fold: the direction of the parameter. A doubling: prod (1 + m) of the multipliers
-            m. A torus: |m|^2 - 1 of the pair of complex ones that is nearest to the unit circle.
+        mark: For a fold, the function is the direction of the parameter. For a doubling, it is
+            prod (1 + m) over the multipliers m. For a torus, it is |m|^2 - 1 of the pair of
+            complex multipliers that is nearest to the unit circle.
 
     Source: Y. Kuznetsov, Elements of Applied Bifurcation Theory, 2004, ch. 5 and 10.
     """
-    found = point.motion.multipliers
+    m = point.motion.multipliers
     if mark == FOLD:
         return float(point.tangent[-1])
     if mark == DOUBLING:
-        return float(np.prod(1.0 + found).real)
-    pairs = np.abs(found[found.imag > 0.0]) ** 2 - 1.0
+        return float(np.prod(1.0 + m).real)
+    pairs = np.abs(m[m.imag > 0.0]) ** 2 - 1.0
     return float(pairs[np.abs(pairs).argmin()]) if len(pairs) else 0.0
 
 
-def _between(way: ReturnMap, one: State, other: State, part: float) -> State:
-    return way.flow.plus(one, part * way.flow.minus(other, one))
+def _between(map_: ReturnMap, first: State, second: State, part: float) -> State:
+    """Interpolate between two states."""
+    return map_.flow.plus(first, part * map_.flow.minus(second, first))
 
 
-def _tangent(slopes: Array, like: Array) -> Array:
-    """The direction that the slopes leave free, on the side of another one."""
+def _tangent(slopes: Array, reference: Array) -> Array:
+    """Return the null direction of the slopes, on the side of a reference."""
     direction: Array = np.linalg.svd(slopes)[2][-1]
-    return direction if direction.dot(like) >= 0.0 else -direction
+    return direction if direction.dot(reference) >= 0.0 else -direction
 
 
-def branches_of(
-    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
+def follow_branches(
+    family: SceneFamily, gait: Gait, number: int, options: ContinuationTask, say: Say
 ) -> Iterator[NamedBranch]:
-    """The branch through a gait, and those of twice the period that leave it.
+    """Follow the branch through a gait, and the branches of twice the period that leave it.
 
     Args:
-        family: The return maps along the parameter.
-        gait: Where it begins.
-        number: Of the gait, from 1 on.
-        asked: What is asked.
-        say: Is told what happens on the way.
+        family: Return maps along the parameter.
+        gait: The gait.
+        number: Number of the gait, from 1 on.
+        options: Options of the continuation.
+        say: Receives a line for each doubled branch that is not found.
 
     Raises:
-        SceneError: The scene's own value of the parameter is outside the range.
+        SceneError: The value of the parameter in the scene is outside the range.
     """
-    value = own_value(family, asked)
+    value = scene_value(family, options)
     maps = family.of(gait.section, gait.travel)
-    along = Continuation(maps, asked.low, asked.high, asked.points)
+    continuation = Continuation(maps, options.low, options.high, options.points)
     cycles = family.task.cycles
-    up = along.branch(gait.motion, value, 1, cycles)
-    down = along.branch(gait.motion, value, -1, cycles)
+    up = continuation.branch(gait.motion, value, 1, cycles)
+    down = continuation.branch(gait.motion, value, -1, cycles)
     points = (*reversed(down.points[1:]), *up.points)
-    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
-    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
+    joined = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
+    waiting = [(NamedBranch(joined, number, f"gait {number}"), 0)]
     while waiting:
         named, level = waiting.pop(0)
         yield named
-        for mark in named.branch.marks:
-            if mark.mark != DOUBLING or level >= asked.doublings:
+        for bifurcation in named.branch.bifurcations:
+            if bifurcation.mark != DOUBLING or level >= options.doublings:
                 continue
             try:
-                doubled = along.doubled(mark, named.branch.cycles)
+                branch = continuation.follow_doubling(bifurcation, named.branch.cycles)
             except SolveError as error:
-                say(f"{named.of}: {error}")
+                say(f"{named.label}: {error}")
                 continue
-            of = f"{named.of}, doubled at {mark.parameter:.9g}"
-            waiting.append((NamedBranch(doubled, number, of), level + 1))
+            label = f"{named.label}, doubled at {bifurcation.parameter:.9g}"
+            waiting.append((NamedBranch(branch, number, label), level + 1))
 
 
 class NamedBranch(NamedTuple):
     """A branch and its origin.
 
     Attributes:
+        branch: The branch.
         gait: Number of the gait from which it comes, from 1 on.
-        of: What it is, for people.
+        label: Description of its origin, for people.
     """
 
     branch: Branch
     gait: int
-    of: str
+    label: str
 
 
-def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
-    """The value of the parameter in the scene as it is.
+def scene_value(family: SceneFamily, options: ContinuationTask) -> float:
+    """Return the value of the parameter in the given scene.
 
     Raises:
-        SceneError: It is not one number, or outside the range.
+        SceneError: It is not a number in the scene, or outside the range.
     """
     value = family.value()
     where = f"{family.task.source or family.scene.name}: gait.continuation"
     if value is None:
         scene = family.scene
-        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
+        place, path = found_place(Origin(title=where), places_of(scene), options.parameter)
         inner = scene.entries[place.section]
         for key in (*([] if place.at is None else [place.at]), *path):
             inner = inner.get(key) if isinstance(inner, dict) else inner[key]
         if type(inner) not in (int, float):
             raise SceneError(
-                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
-                "number that it states"
+                f"{where}.parameter: {options.parameter} is {inner!r} in the scene; give a "
+                "parameter that is a number there"
             )
         value = float(inner)
-    slack = _ROUNDING * (asked.high - asked.low)
-    if not asked.low - slack <= value <= asked.high + slack:
+    slack = _ROUNDING * (options.high - options.low)
+    if not options.low - slack <= value <= options.high + slack:
         raise SceneError(
-            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
-            f"{asked.high:g}: the branch begins with the scene"
+            f"{where}: {options.parameter} is {value:.9g} in the scene, outside "
+            f"{options.low:g} .. {options.high:g}; extend the range to include it"
         )
-    return min(max(value, asked.low), asked.high)
+    return min(max(value, options.low), options.high)
 
 
 def branch_lines(named: NamedBranch, parameter: str) -> Iterator[str]:
-    """What is said of a branch: its ends, its marks, where it is stable."""
+    """Yield lines about a branch: its ends, its bifurcations, and where it is stable."""
     points = named.branch.points
     first, last = points[0].parameter, points[-1].parameter
     cycles = named.branch.cycles
     yield (
-        f"branch of {named.of}: {parameter} {first:.9g} .. {last:.9g}, {len(points)} points, "
+        f"branch of {named.label}: {parameter} {first:.9g} .. {last:.9g}, {len(points)} points, "
         f"repeats after {cycles} cycle{'s' * (cycles > 1)}; {named.branch.ended}"
     )
     for begin, end in stable_stretches(points):
         yield f"  stable for {parameter} {begin:.9g} .. {end:.9g}"
-    for mark in named.branch.marks:
-        yield f"  {mark.mark} at {parameter} = {mark.parameter:.12g}"
+    for bifurcation in named.branch.bifurcations:
+        yield f"  {bifurcation.mark} at {parameter} = {bifurcation.parameter:.12g}"
 
 
 def stable_stretches(points: tuple[BranchPoint, ...]) -> list[tuple[float, float]]:
-    """Values of the parameter between which a branch is stable, as far as marks or points say."""
-    found: list[tuple[float, float]] = []
+    """Return the ranges of the parameter in which a branch is stable, as far as points tell."""
+    stretches: list[tuple[float, float]] = []
     stable = [point.motion.is_stable or bool(point.mark) for point in points]
     begin: int | None = None
     for i, is_stable in enumerate([*stable, False]):
@@ -439,6 +454,6 @@ def stable_stretches(points: tuple[BranchPoint, ...]) -> list[tuple[float, float
             begin = i
         elif not is_stable and begin is not None:
             if any(point.motion.is_stable and not point.mark for point in points[begin:i]):
-                found.append((points[begin].parameter, points[i - 1].parameter))
+                stretches.append((points[begin].parameter, points[i - 1].parameter))
             begin = None
-    return found
+    return stretches

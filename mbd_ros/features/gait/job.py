@@ -1,4 +1,4 @@
-"""Periodic motions of a scene: `mbd-ros gait`."""
+"""Search for the periodic motions of a scene: `mbd-ros gait`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,8 +7,13 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.errors import DataError, ModelError, SceneError
-from mbd_ros.features.gait.continuation import NamedBranch, branch_lines, branches_of, own_value
-from mbd_ros.features.gait.search import Gait, SceneFamily, found_gaits
+from mbd_ros.features.gait.continuation import (
+    NamedBranch,
+    branch_lines,
+    follow_branches,
+    scene_value,
+)
+from mbd_ros.features.gait.search import Gait, SceneFamily, search_gaits
 from mbd_ros.features.gait.tables import (
     BASIN,
     BRANCHES,
@@ -17,7 +22,7 @@ from mbd_ros.features.gait.tables import (
     basin_table,
     branch_table,
     gait_table,
-    measures_of,
+    measure_gait,
     motion_table,
 )
 from mbd_ros.features.gait.task import GaitTask, gait_task
@@ -32,7 +37,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
 
 _SHOWN = 6  # multipliers in a line
-_SMALL = 1.0e-9  # multiplier that is not shown: what differences leave of none
+_SMALL = 1.0e-9  # smaller multipliers are rounding of difference quotients
 
 _PAGES = (".html", ".htm")
 
@@ -46,67 +51,68 @@ def gait(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Periodic motions, their stability, branches along a parameter, and basins.
+    """Search periodic motions, their stability, branches along a parameter, and basins.
 
     Args:
         scene: A scene with phases, or other events.
         task: A task file with a section `gait`, or its keys; None for a gait near the start of
             the scene.
-        workers: How many cores scan a basin; None for all.
-        scheduler: Of a Dask cluster, in place of them.
-        say: Is called with each line for people; without it the lines are
+        workers: Number of processes for a basin; None for all cores.
+        scheduler: Address of a Dask cluster that replaces them.
+        say: Function that is called with each line for people; without it the lines are
             `metadata["remarks"]`.
-        progress: True for a line on a terminal, or a function of a label and a share.
+        progress: True for a progress line on a terminal, or a function of a label and a share.
 
     Returns:
-        Table `samples`: the first gait over the cycles after which it repeats, as of a simulation.
-        Table `gaits`, a row a gait; `branches`, a row a point, where the task asks for a
-        continuation; `basin`, a row a start, where it asks for that. See `features.gait.tables`.
+        Table `samples`: the first gait until it repeats, with the columns of a simulation. Table
+        `gaits`: one gait per row. Table `branches`: one point per row, if the task asks for a
+        continuation. Table `basin`: one start per row, if the task asks for it. See
+        `features.gait.tables`.
 
     Raises:
-        FallError: No guess comes to the end of a cycle.
+        FallError: No guess reaches the end of a cycle.
         SolveError: No guess leads to a periodic motion.
         SceneError: The task cannot be read, or does not fit the scene.
     """
     remarks: list[str] = []
     with watching(progress):
-        asked = task_of(scene, task)
-        result = run_gait(scene, asked, say or remarks.append, workers, scheduler)
+        options = read_gait_task(scene, task)
+        result = run_gait(scene, options, say or remarks.append, workers, scheduler)
     if say is None:
         result.metadata["remarks"] = remarks
     return result
 
 
-def task_of(scene: Scene, task: str | Path | Mapping[str, Any] | None) -> GaitTask:
-    """The task of a file, or of the keys of its section."""
+def read_gait_task(scene: Scene, task: str | Path | Mapping[str, Any] | None) -> GaitTask:
+    """Return the task of a file, or of the keys of its section."""
     if isinstance(task, str | Path):
         parts = read_task(task, scene).parts
-        found: GaitTask = parts["gait"] if "gait" in parts else gait_task({}, str(task))
-        return found
+        section: GaitTask = parts["gait"] if "gait" in parts else gait_task({}, str(task))
+        return section
     return gait_task(dict(task or {}), "gait")
 
 
 def run_gait(
     scene: Scene, task: GaitTask, say: Say, workers: int | None, scheduler: str | None
 ) -> Result:
-    """Do the task of `gait`."""
-    along = task.continuation
-    family = SceneFamily(scene, task, "" if along is None else along.parameter)
-    if along is not None:
-        own_value(family, along)
+    """Search gaits as a task says."""
+    continuation = task.continuation
+    family = SceneFamily(scene, task, "" if continuation is None else continuation.parameter)
+    if continuation is not None:
+        scene_value(family, continuation)
     for frame in task.step_between:
         try:
             scene.robot.frame(frame)
         except ModelError as error:
             where = task.source or scene.name
             raise SceneError(f"{where}: gait.step_between: {error}") from error
-    flow, gaits = family.flow(), found_gaits(family, say)
+    flow, gaits = family.flow(), search_gaits(family, say)
     with about(task.source or scene.name):
-        found = [measures_of(scene, task, flow, one.travel, one.motion) for one in gaits]
-    for line in gait_lines(gaits, found):
+        measures = [measure_gait(scene, task, flow, g.travel, g.motion) for g in gaits]
+    for line in gait_lines(gaits, measures):
         say(line)
-    tables = {MAIN: motion_table(flow, gaits[0]), GAITS: gait_table(flow, gaits, found)}
-    if along is not None:
+    tables = {MAIN: motion_table(flow, gaits[0]), GAITS: gait_table(flow, gaits, measures)}
+    if continuation is not None:
         tables[BRANCHES] = _branches(family, gaits, say)
     if task.basin is not None:
         tables[BASIN] = _basin(family, gaits, say, workers, scheduler)
@@ -115,16 +121,16 @@ def run_gait(
     return Result(tables, metadata_of("gait", scene, inputs, topics))
 
 
-def gait_lines(gaits: Sequence[Gait], found: Sequence[Measures]) -> Iterator[str]:
-    """What is said of gaits."""
-    for number, (one, measures) in enumerate(zip(gaits, found, strict=True), 1):
-        motion = one.motion
+def gait_lines(gaits: Sequence[Gait], all_measures: Sequence[Measures]) -> Iterator[str]:
+    """Yield lines about gaits."""
+    for number, (gait_, measures) in enumerate(zip(gaits, all_measures, strict=True), 1):
+        motion = gait_.motion
         word = "stable" if motion.is_stable else "unstable"
         events = ", ".join(name for s in motion.passage.segments for name in s.event)
         yield f"gait {number}: {word}, period {measures.period:.12g} s, {events}"
         if measures.travel is not None and measures.speed is not None:
             yield f"  travel {measures.travel:.12g} m, speed {measures.speed:.12g} m/s"
-        yield f"  multipliers {multiplier_words(motion.multipliers)}"
+        yield f"  multipliers {format_multipliers(motion.multipliers)}"
         text = f"  energy lost at events {measures.energy_lost:.9g} J"
         if measures.positive_work or measures.negative_work:
             text += (
@@ -134,30 +140,31 @@ def gait_lines(gaits: Sequence[Gait], found: Sequence[Measures]) -> Iterator[str
         if measures.cost_of_transport:
             text += f", cost of transport {measures.cost_of_transport:.9g}"
         yield text
-        if one.travel.names:
-            yield f"  travels along {', '.join(one.travel.names)}; residual {motion.residual:.2g}"
+        if gait_.travel.names:
+            names = ", ".join(gait_.travel.names)
+            yield f"  travels along {names}; residual {motion.residual:.2g}"
 
 
-def multiplier_words(multipliers: Any) -> str:
-    """Floquet multipliers for people; those that are none are left out."""
+def format_multipliers(multipliers: Any) -> str:
+    """Format Floquet multipliers for people, without those that are zero."""
     shown = [m for m in multipliers if abs(m) > _SMALL][:_SHOWN] or [0.0]
-    words = []
+    texts = []
     for m in np.asarray(shown, dtype=complex):
-        turned = f" {'-' if m.imag < 0.0 else '+'} {abs(m.imag):.9f}i" if m.imag else ""
-        words.append(f"{m.real:.9f}{turned}")
-    return ", ".join(words)
+        imaginary = f" {'-' if m.imag < 0.0 else '+'} {abs(m.imag):.9f}i" if m.imag else ""
+        texts.append(f"{m.real:.9f}{imaginary}")
+    return ", ".join(texts)
 
 
 def _branches(family: SceneFamily, gaits: Sequence[Gait], say: Say) -> Table:
-    along = family.task.continuation
-    assert along is not None
-    found: list[NamedBranch] = []
-    for number, one in enumerate(gaits, 1):
-        for branch in branches_of(family, one, number, along, say):
-            found.append(branch)
-            for line in branch_lines(branch, along.parameter):
+    continuation = family.task.continuation
+    assert continuation is not None
+    branches: list[NamedBranch] = []
+    for number, gait_ in enumerate(gaits, 1):
+        for branch in follow_branches(family, gait_, number, continuation, say):
+            branches.append(branch)
+            for line in branch_lines(branch, continuation.parameter):
                 say(line)
-    return branch_table(family.flow(), found, gaits)
+    return branch_table(family.flow(), branches, gaits)
 
 
 def _basin(
@@ -167,13 +174,13 @@ def _basin(
     workers: int | None,
     scheduler: str | None,
 ) -> Table:
-    from mbd_ros.features.gait.basin import basin_of, outcome_word
+    from mbd_ros.features.gait.basin import outcome_text, scan_basin
 
     assert family.task.basin is not None
-    outcomes = basin_of(family, gaits, family.task.basin, workers, scheduler)
-    words = [outcome_word(one.number) for one in outcomes]
-    counts = ", ".join(f"{word} {words.count(word)}" for word in sorted(set(words)))
-    say(f"basin: {len(words)} starts: {counts}")
+    outcomes = scan_basin(family, gaits, family.task.basin, workers, scheduler)
+    texts = [outcome_text(outcome.number) for outcome in outcomes]
+    counts = ", ".join(f"{text} {texts.count(text)}" for text in sorted(set(texts)))
+    say(f"basin: {len(texts)} starts: {counts}")
     return basin_table(outcomes)
 
 
@@ -186,19 +193,19 @@ def gait_to(
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> None:
-    """Find gaits, and write them where a place is given.
+    """Search gaits, and write the files that are given.
 
     Args:
         task: Task file; None for a gait near the start of the scene.
-        out: The motion of the first gait; its suffix chooses the format.
-        page: A page for people.
-        say: Is told what was found, a line each.
-        workers: How many cores scan a basin; None for all.
-        scheduler: Of a Dask cluster, in place of them.
+        out: File for the motion of the first gait; its suffix selects the format.
+        page: HTML page with tables and pictures.
+        say: Receives lines for people.
+        workers: Number of processes for a basin; None for all cores.
+        scheduler: Address of a Dask cluster that replaces them.
     """
-    asked = task_of(scene, task)
+    options = read_gait_task(scene, task)
     if page is not None and page.suffix not in _PAGES:
-        raise DataError(f"--page {page}: expected the suffix .html")
+        raise DataError(f"--page {page}: the suffix must be .html or .htm")
     for place in filter(None, (out, page)):
         refuse_overwriting(place, task, scene.path)
     if out is not None:
@@ -206,13 +213,13 @@ def gait_to(
             check_place(place)
     if page is not None and not page.parent.is_dir():
         raise DataError(f"{page}: directory {page.parent} does not exist")
-    result = run_gait(scene, asked, say, workers, scheduler)
+    result = run_gait(scene, options, say, workers, scheduler)
     if out is not None:
         write_tables(result, out, say)
     if page is not None:
         from mbd_ros.features.gait.page import write_page
 
         write_page(
-            result, page, "" if asked.continuation is None else asked.continuation.parameter
+            result, page, "" if options.continuation is None else options.continuation.parameter
         )
         say(f"page -> {page}")

@@ -1,4 +1,4 @@
-"""Gaits on one page that needs nothing else: tables, and pictures of motions, branches, basins."""
+"""A self-contained HTML page of gaits: tables, and pictures of motions, branches and basins."""
 
 import base64
 import html
@@ -26,11 +26,11 @@ _STYLE = (
 
 
 def write_page(result: Result, path: Path, parameter: str) -> None:
-    """Write the page; names in it come from files of others and are escaped.
+    """Write the page. Names from files are escaped.
 
     Args:
-        result: Of `run_gait`.
-        parameter: Of the continuation; empty without one.
+        result: Result of `run_gait`.
+        parameter: Parameter of the continuation; empty without one.
     """
     title = html.escape(f"Gaits of {result.metadata['scene']}")
     lines = [
@@ -56,16 +56,16 @@ def _sections(result: Result, parameter: str) -> Iterator[str]:
         yield from _marks(result[BRANCHES], parameter)
     if BASIN in result:
         yield "<h2>Starts</h2>"
-        drawn = basin(result[BASIN])
-        if drawn is not None:
-            yield _image(drawn._repr_png_(), "outcome of each start")
+        picture = basin(result[BASIN])
+        if picture is not None:
+            yield _image(picture._repr_png_(), "outcome of each start")
         total, table = result[BASIN].rows, result[BASIN]
-        came = int((table["outcome"] > 0).sum())
-        yield f"<p>{came} of {total} starts come to a gait.</p>"
+        count = int((table["outcome"] > 0).sum())
+        yield f"<p>{count} of {total} starts lead to a gait.</p>"
 
 
 def _transposed(table: Table) -> Iterator[str]:
-    """A line a column: gaits stand side by side."""
+    """Yield a table with one row per column, so that gaits are side by side."""
     yield "<table>"
     for column in table.columns:
         cells = "".join(f"<td>{html.escape(_text(value))}</td>" for value in column.values)
@@ -82,7 +82,7 @@ def _image(png: bytes, text: str) -> str:
 
 
 def portrait(samples: Table) -> Picture:
-    """Joints over time, and velocity over position."""
+    """Plot joints over time, and velocity over position."""
     picture, (left, right) = _pair()
     names = [name.removesuffix(".position") for name in samples if name.endswith(".position")]
     for name in (name for name in names if f"{name}.velocity" in samples):
@@ -100,16 +100,16 @@ def _pair() -> tuple[Picture, Any]:
     picture = Picture(figsize=(_WIDTH, _HEIGHT), layout="constrained")
     FigureCanvasAgg(picture)
     axes: Any = picture.subplots(1, 2)
-    for one in axes:
-        one.grid(visible=True, alpha=0.3)
-        one.tick_params(labelsize=7)
-        one.xaxis.label.set_size(8)
-        one.yaxis.label.set_size(8)
+    for panel in axes:
+        panel.grid(visible=True, alpha=0.3)
+        panel.tick_params(labelsize=7)
+        panel.xaxis.label.set_size(8)
+        panel.yaxis.label.set_size(8)
     return picture, axes
 
 
 def diagram(branches: Table, parameter: str) -> Picture:
-    """Period by the parameter, and the largest multipliers; unstable parts are thin and dotted."""
+    """Plot period and largest multiplier over the parameter, with unstable parts dotted."""
     picture, (left, right) = _pair()
     for number in np.unique(branches["branch"]):
         rows = branches["branch"] == number
@@ -144,29 +144,29 @@ def _marks(table: Table, parameter: str) -> Iterator[str]:
     rows = [i for i, mark in enumerate(table["mark"]) if mark]
     if not rows:
         return
-    yield f"<table><tr><th>branch</th><th>what</th><th>{html.escape(parameter)}</th></tr>"
+    yield f"<table><tr><th>branch</th><th>bifurcation</th><th>{html.escape(parameter)}</th></tr>"
     for i in rows:
-        word = MARKS[int(table["mark"][i])]
+        kind = MARKS[int(table["mark"][i])]
         yield (
-            f"<tr><td>{table['branch'][i]}</td><td>{word}</td>"
+            f"<tr><td>{table['branch'][i]}</td><td>{kind}</td>"
             f"<td>{table['parameter'][i]:.12g}</td></tr>"
         )
     yield "</table>"
 
 
 def basin(starts: Table) -> Picture | None:
-    """Outcomes on the grid of two joints; None for grids of another number."""
+    """Plot outcomes on a grid of two joints; return None for other grids."""
     names = [name for name in starts if name not in ("outcome", "cycles")]
     if len(names) != 2:
         return None
     picture, (left, right) = _pair()
     x, y = (starts[name] for name in names)
     for axes, values, title in (
-        (left, starts["outcome"], "gait (0 falls, -1 undecided)"),
-        (right, starts["cycles"], "cycles until that is known"),
+        (left, starts["outcome"], "gait (0 fall, -1 undecided)"),
+        (right, starts["cycles"], "cycles until the outcome is known"),
     ):
-        drawn = axes.scatter(x, y, c=values, s=10, marker="s", cmap="viridis")
-        picture.colorbar(drawn, ax=axes, label=title)
+        points = axes.scatter(x, y, c=values, s=10, marker="s", cmap="viridis")
+        picture.colorbar(points, ax=axes, label=title)
         axes.set_xlabel(names[0])
         axes.set_ylabel(names[1])
     return picture

@@ -1,4 +1,4 @@
-"""Tables of gaits: motion, length, speed, energy, branches, basins."""
+"""Tables of gaits: motion, length, speed, energy, branches and basins."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from mbd_ros.scene.built_scene import Scene
 if TYPE_CHECKING:
     from mbd_ros.features.gait.basin import Outcome
 
-_WORK_SAMPLES = 201  # of a segment: odd, as Simpson's rule asks
+_WORK_SAMPLES = 201  # of a segment: odd, as Simpson's rule requires
 GAITS, BRANCHES, BASIN = "gaits", "branches", "basin"
-MARKS = ("", FOLD, DOUBLING, TORUS)  # by their numbers in a table
+MARKS = ("", FOLD, DOUBLING, TORUS)  # the indices are the numbers in a table
 _SHOWN_STATES = 201  # states of a segment
 
 
-def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]) -> Table:
-    """A row a gait.
+def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], measures: Sequence[Measures]) -> Table:
+    """Return a table with one gait per row.
 
     Returns:
         `gait`, `period`, `stable`, `travel`, `speed`, `energy_lost`, `positive_work`,
@@ -41,9 +41,9 @@ def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measu
     motions = [gait.motion for gait in gaits]
     columns = [
         Column("gait", np.arange(1, len(gaits) + 1)),
-        Column("period", np.array([one.period for one in found]), "s"),
+        Column("period", np.array([measure.period for measure in measures]), "s"),
         Column("stable", np.array([motion.is_stable for motion in motions])),
-        *_measured(found),
+        *_measure_columns(measures),
         *_multiplier_columns([motion.multipliers for motion in motions]),
         *state_columns(flow, [motion.state for motion in motions]),
         Column("residual", np.array([motion.residual for motion in motions])),
@@ -52,15 +52,15 @@ def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measu
 
 
 class Measures(NamedTuple):
-    """What a gait is like, over the cycles after which it repeats.
+    """Quantities of a gait over the cycles after which it repeats.
 
     Attributes:
-        period: [s].
+        period: Duration [s].
         travel: Displacement along the travel [m]; None where nothing travels.
-        speed: Travel over period [m/s]; None likewise.
-        energy_lost: What impacts and other events take [J].
-        positive_work: Of actuators, where they give energy [J].
-        negative_work: Where they take it [J], <= 0.
+        speed: Travel over period [m/s]; None where nothing travels.
+        energy_lost: Energy that impacts and other events dissipate [J].
+        positive_work: Positive work of actuators [J].
+        negative_work: Negative work of actuators [J], <= 0.
         cost_of_transport: Positive work over weight and travel; None without travel.
     """
 
@@ -73,7 +73,7 @@ class Measures(NamedTuple):
     cost_of_transport: float | None
 
 
-def _measured(found: Sequence[Measures]) -> list[Column]:
+def _measure_columns(measures: Sequence[Measures]) -> list[Column]:
     columns = []
     for name, unit in (
         ("travel", "m"),
@@ -83,14 +83,14 @@ def _measured(found: Sequence[Measures]) -> list[Column]:
         ("negative_work", "J"),
         ("cost_of_transport", ""),
     ):
-        values = [getattr(one, name) for one in found]
+        values = [getattr(measure, name) for measure in measures]
         if None not in values:
             columns.append(Column(name, np.array(values, dtype=np.float64), unit))
     return columns
 
 
-def _multiplier_columns(every: Sequence[Array]) -> list[Column]:
-    values, columns = np.array(every), []
+def _multiplier_columns(all_values: Sequence[Array]) -> list[Column]:
+    values, columns = np.array(all_values), []
     for i, each in enumerate(values.T, 1):
         if i == 1 or np.abs(each).max() > 0.0:
             name = f"multiplier_{i}"
@@ -100,10 +100,10 @@ def _multiplier_columns(every: Sequence[Array]) -> list[Column]:
 
 
 def state_columns(flow: SimulatedFlow, states: Sequence[State]) -> list[Column]:
-    """Positions and velocities of joints and free bodies, and internal states."""
+    """Return columns of joints, free bodies and internal states."""
     system = flow.system
-    every = [system.expand(y) for y in states]
-    q, v, z = (np.array([getattr(x, key) for x in every]) for key in ("q", "v", "z"))
+    states_of_joints = [system.expand(y) for y in states]
+    q, v, z = (np.array([getattr(x, key) for x in states_of_joints]) for key in ("q", "v", "z"))
     joints, internals = system.robot.joints, system.internals
     return [
         *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
@@ -117,9 +117,9 @@ def state_columns(flow: SimulatedFlow, states: Sequence[State]) -> list[Column]:
 
 
 def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
-    """A gait over the cycles after which it repeats, with the columns of a simulation.
+    """Return the samples of a gait until it repeats, with the columns of a simulation.
 
-    Samples at an event inside hold the state after it; the last one is before the last event.
+    Samples at an event hold the state after it; the last sample is before the last event.
     """
     states, segments = list[State](), list[int]()
     begin = gait.motion.passage.segments[0].begin.t
@@ -128,9 +128,9 @@ def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
             continue
         if states:
             del states[-1], segments[-1]
-        some = flow.states(segment, _SHOWN_STATES)
-        states += [flow.system.expand(y)._replace(mode=y.mode) for y in some]
-        segments += [i] * len(some)
+        new_states = flow.states(segment, _SHOWN_STATES)
+        states += [flow.system.expand(y)._replace(mode=y.mode) for y in new_states]
+        segments += [i] * len(new_states)
     table, _, failure = table_of(flow, states)  # type: ignore[arg-type]
     if failure is not None:
         raise failure
@@ -141,7 +141,7 @@ def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
 def branch_table(
     flow: SimulatedFlow, branches: Sequence[NamedBranch], gaits: Sequence[Gait]
 ) -> Table:
-    """A row a point of a branch.
+    """Return a table with one point of a branch per row.
 
     Returns:
         `branch`, `gait`, `cycles`, `parameter`, `period`, `stable`, `mark`,
@@ -173,25 +173,25 @@ def branch_table(
 
 
 def basin_table(outcomes: Sequence[Outcome]) -> Table:
-    """A row a start: its values, `outcome` and `cycles`.
+    """Return a table with one start per row: its values, `outcome` and `cycles`.
 
-    An outcome is the number of the gait, 0 for a fall, -1 where neither was seen, -2 where the
-    mechanism cannot be closed there.
+    The outcome is the number of the gait, 0 for a fall, -1 where neither was reached, and -2 where
+    the loops cannot be closed.
     """
     names = list(outcomes[0].start)
     return Table(
         [
-            *(Column(name, np.array([one.start[name] for one in outcomes])) for name in names),
-            Column("outcome", np.array([one.number for one in outcomes])),
-            Column("cycles", np.array([one.cycles for one in outcomes])),
+            *(Column(name, np.array([o.start[name] for o in outcomes])) for name in names),
+            Column("outcome", np.array([outcome.number for outcome in outcomes])),
+            Column("cycles", np.array([outcome.cycles for outcome in outcomes])),
         ]
     )
 
 
-def measures_of(
+def measure_gait(
     scene: Scene, task: GaitTask, flow: SimulatedFlow, travel: Travel, motion: PeriodicMotion
 ) -> Measures:
-    """Length, speed and energy of a gait."""
+    """Return length, speed and energy of a gait."""
     passage, system = motion.passage, flow.system
     period = passage.period
     moved = travel.place(passage.segments[-1].end) - travel.place(passage.begin)
@@ -216,16 +216,16 @@ def measures_of(
 
 
 def _distance(scene: Scene, flow: SimulatedFlow, y: State, frames: tuple[str, ...]) -> float:
-    """Distance of two frames [m]."""
+    """Return the distance of two frames [m]."""
     robot, x = scene.robot, flow.system.expand(y)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, x.q)
-    one, other = (data.oMf[robot.frame(name)].translation for name in frames)
-    return float(np.linalg.norm(one - other))
+    first, second = (data.oMf[robot.frame(name)].translation for name in frames)
+    return float(np.linalg.norm(first - second))
 
 
 def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
-    """Positive and negative work of the actuators, by Simpson's rule."""
+    """Return positive and negative work of the actuators, by Simpson's rule."""
     if not _working(flow):
         return 0.0, 0.0
     positive = negative = 0.0
@@ -244,16 +244,16 @@ def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
 
 def _working(flow: SimulatedFlow) -> list[Load]:
     loads = flow.system.loads
-    return [one for one in (*loads.actuators, *loads.forces) if one.gives_work]
+    return [load for load in (*loads.actuators, *loads.forces) if load.gives_work]
 
 
 def _powers(flow: SimulatedFlow, y: State) -> Array:
-    """Power of each actuator [W], shape (n,)."""
+    """Return the power of each actuator [W], shape (n,)."""
     system = flow.system
     x = system.expand(y)
     loads, k = system.loads, system.k
-    u, found = loads.inputs(x, None), []
+    u, powers = loads.inputs(x, None), []
     for actuator in _working(flow):
         k.refresh(x.q, x.v, actuator.reads)
-        found.append(float(actuator.force(k, x, u).dot(x.v)))
-    return np.array(found)
+        powers.append(float(actuator.force(k, x, u).dot(x.v)))
+    return np.array(powers)

@@ -1,4 +1,4 @@
-"""The `gait` section of a task file: which periodic motion is asked of a scene."""
+"""The section `gait` of a task file: which periodic motions are searched."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,17 +13,19 @@ from mbd_ros.scene.schema import schema
 Count = Annotated[int, Within(1, 1_000_000)]
 Longest = Annotated[Positive, Unit("s")]
 ACCURATE: Mapping[str, Any] = {"type": "dop853", "tolerance": 1.0e-12}
-_OF_START = ("position", "velocity", "pose", "twist", "internal", "phase")
-_MOST = 1_000_000  # starts of one grid
+_START_KEYS = ("position", "velocity", "pose", "twist", "internal", "phase")
+_MOST_STARTS = 1_000_000  # starts of a grid
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Values between two others.
+    """Equally spaced values.
 
     Attributes:
         name: `<joint>.position` or `<joint>.velocity`.
-        count: How many, both ends included.
+        low: First value.
+        high: Last value.
+        count: Number of values, both ends included.
     """
 
     name: str
@@ -34,11 +36,13 @@ class Grid:
 
 @dataclass(frozen=True)
 class ContinuationTask:
-    """Gaits along a parameter.
+    """Continuation of gaits along a parameter.
 
     Attributes:
         parameter: `slope`, or `<name of a part>.<argument>`.
-        doublings: How many times a branch is left for that of twice the period.
+        low: Lower end of the range.
+        high: Upper end of the range.
+        doublings: Largest number of successive period doublings whose branches are followed.
         points: Largest number of points on a branch.
     """
 
@@ -51,12 +55,12 @@ class ContinuationTask:
 
 @dataclass(frozen=True)
 class BasinTask:
-    """Which starts lead to the gait.
+    """Basin of attraction of a gait.
 
     Attributes:
-        grid: Values of the start that are not those of the gait.
-        cycles: After so many a start has come to a gait or has not.
-        near: How near a motion has to come, in units of the state.
+        grid: Values of the start that differ from those of the gait.
+        cycles: Number of cycles after which a start counts as undecided.
+        near: Distance at which a motion has reached the gait, in units of the state.
     """
 
     grid: tuple[Grid, ...]
@@ -66,22 +70,22 @@ class BasinTask:
 
 @dataclass(frozen=True)
 class GaitTask:
-    """Periodic motions, asked of a scene.
+    """Search for the periodic motions of a scene.
 
     Attributes:
-        event: Name of the event that ends a cycle; None for the first one that leads back into
+        event: Name of the event that ends a cycle; None for the first event that leads back to
             the first phase.
+        travel: Joints and `<body>.position.x` along which the motion travels; None finds them.
         cycles: Cycles after which the motion repeats.
-        travel: Joints and `<body>.position.x` along which it moves on; None finds them.
-        guesses: Entries of `initial` to begin with, in place of those of the scene.
+        guesses: Entries of `initial` that replace those of the scene.
         search: Grid of guesses.
-        longest: Time within which a cycle ends [s].
-        integrator: Entry of the method.
-        step_between: Two frames whose distance at the end of a cycle is the length of a step;
-            empty for the travel.
-        continuation: Along which parameter gaits are followed; None for none.
-        basin: From which starts a gait is reached; None for no scan.
-        source: The file, for messages; empty without one.
+        longest: Longest duration of a cycle [s].
+        integrator: Entry of the integrator.
+        step_between: Two frames whose distance at the end of a cycle is the step length; empty
+            for the travel.
+        continuation: Parameter along which gaits are followed; None for none.
+        basin: Starts that are tested for reaching a gait; None for no scan.
+        source: Task file, for messages; empty without one.
     """
 
     event: str | None = None
@@ -97,27 +101,27 @@ class GaitTask:
     source: str = ""
 
 
-def build_task(site: Site, given: Any) -> GaitTask:
-    """The `gait` section of a task file.
+def build_task(site: Site, entries: Any) -> GaitTask:
+    """Build the `gait` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names file, key and what is accepted.
     """
-    return gait_task(given, site.where, site.origin.name)
+    return gait_task(entries, site.where, site.origin.name)
 
 
-def gait_task(given: Any, where: str, source: str = "") -> GaitTask:
-    """The task of some entries.
+def gait_task(entries: Any, where: str, source: str = "") -> GaitTask:
+    """Build a task from the entries of its section.
 
     Args:
-        given: Entries by key, see `_task`.
-        where: File and key, for the messages.
-        source: The file; empty without one.
+        entries: Entries by key, the keyword arguments of `_task`.
+        where: File and key, for messages.
+        source: Task file; empty without one.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names the key and what is accepted.
     """
-    task: GaitTask = schema.call(_task, given, where, where, source)
+    task: GaitTask = schema.call(_task, entries, where, where, source)
     return task
 
 
@@ -140,18 +144,20 @@ def _task(
         build_part("integrators", integrator, f"{where}.integrator")
     for i, guess in enumerate(guesses):
         for key in guess:
-            if key not in _OF_START:
+            if key not in _START_KEYS:
                 raise SceneError(
-                    f"{where}.guesses[{i}]: unknown key '{key}', accepted: {', '.join(_OF_START)}"
+                    f"{where}.guesses[{i}]: unknown key '{key}', accepted: "
+                    f"{', '.join(_START_KEYS)}"
                 )
     if len(step_between) not in (0, 2):
         raise SceneError(f"{where}.step_between: expected two frames, got {len(step_between)}")
-    along = None
+    continuation_task = None
     if continuation is not None:
-        along = schema.call(_continuation, continuation, f"{where}.continuation", where)
-    scan = None
+        inner = f"{where}.continuation"
+        continuation_task = schema.call(_continuation, continuation, inner, where)
+    basin_task = None
     if basin is not None:
-        scan = schema.call(_basin, basin, f"{where}.basin", f"{where}.basin")
+        basin_task = schema.call(_basin, basin, f"{where}.basin", f"{where}.basin")
     return GaitTask(
         event,
         None if travel is None else tuple(travel),
@@ -161,8 +167,8 @@ def _task(
         longest,
         dict(ACCURATE if integrator is None else integrator),
         tuple(step_between),
-        along,
-        scan,
+        continuation_task,
+        basin_task,
         source,
     )
 
@@ -177,7 +183,7 @@ def _continuation(
     points: Count = 200,
 ) -> ContinuationTask:
     if from_ == to:
-        raise SceneError(f"{where}.continuation: from and to are both {to:g}")
+        raise SceneError(f"{where}.continuation: from and to must differ, but both are {to:g}")
     return ContinuationTask(parameter, min(from_, to), max(from_, to), doublings, points)
 
 
@@ -185,20 +191,27 @@ def _basin(
     where: str, *, grid: Mapping[str, Any], cycles: Count = 60, near: Positive = 1.0e-4
 ) -> BasinTask:
     if not grid:
-        raise SceneError(f"{where}.grid: is empty, expected {{JOINT.velocity: [low, high, 21]}}")
+        raise SceneError(
+            f"{where}.grid: the grid is empty; give values, such as {{JOINT.velocity: [low, high, "
+            "21]}"
+        )
     return BasinTask(_grids(grid, f"{where}.grid"), cycles, near)
 
 
-def _grids(given: Mapping[str, Any], where: str) -> tuple[Grid, ...]:
-    found, size = [], 1
-    for name, values in given.items():
+def _grids(entries: Mapping[str, Any], where: str) -> tuple[Grid, ...]:
+    grids, size = [], 1
+    for name, values in entries.items():
         numbers = schema.value(values, Sequence[float], f"{where}.{name}")
         if len(numbers) != 3 or numbers[2] != int(numbers[2]) or numbers[2] < 1:
-            raise SceneError(f"{where}.{name}: expected [low, high, number of values]")
+            raise SceneError(
+                f"{where}.{name}: expected [low, high, number of values], a number > 0"
+            )
         if not str(name).endswith((".position", ".velocity")):
             raise SceneError(f"{where}: {name}: expected <joint>.position or <joint>.velocity")
-        found.append(Grid(str(name), numbers[0], numbers[1], int(numbers[2])))
-        size *= found[-1].count
-    if size > _MOST:
-        raise SceneError(f"{where}: {size} starts, accepted: at most {_MOST}")
-    return tuple(found)
+        grids.append(Grid(str(name), numbers[0], numbers[1], int(numbers[2])))
+        size *= grids[-1].count
+    if size > _MOST_STARTS:
+        raise SceneError(
+            f"{where}: the grid has {size} starts, but at most {_MOST_STARTS} are accepted"
+        )
+    return tuple(grids)

@@ -1,7 +1,7 @@
-"""What an identification found: tables, lines, the scene, and its files.
+"""Result of an identification: tables, summary, the identified scene, and its files.
 
-The new scene and the given one are tested on what was not learned from, in the band and as
-measured.
+The identified scene and the given one are tested on the parts of recordings that were not used for
+the fit, both in the band and with the efforts as measured.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,19 +20,19 @@ from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import SceneError
 from mbd_ros.features.identification.drives import (
     Measured,
-    also_of,
-    as_measured,
-    efforts,
-    feedback_of,
-    torques,
+    compare_with_measured,
+    coupled_joints,
+    efforts_of_rows,
+    estimate_feedback,
+    predicted_efforts,
 )
 from mbd_ros.features.identification.physical_consistency import (
-    Consistent,
+    ConsistentBodies,
     inertias_of_links,
     prior_deviation,
 )
 from mbd_ros.features.identification.problem import Problem
-from mbd_ros.features.identification.regression import Learned, residual
+from mbd_ros.features.identification.regression import Regression, residual
 from mbd_ros.features.identification.regressor import Column, parameter_name
 from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
@@ -42,48 +42,50 @@ from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_inertias, with_sections
 
-FRICTION = ("joint_friction", "gear_friction")  # what is found anew
+FRICTION = ("joint_friction", "gear_friction")  # types of forces that are identified again
 _WIDTH = 140  # of lines of YAML
-_MOST_SAMPLES = 200_000  # of the test
-_SHOWN = 0.5  # of what the given bodies leave open: data that say more show a parameter
+_MOST_SAMPLES = 200_000  # of a piece of the test
+_SHOWN_FACTOR = 0.5  # of the prior deviation: data that reach less show a parameter
 
 
-def outcome(
-    scene: Scene, problem: Problem, found: Learned, fitted: Consistent, say: Say
+def summarize(
+    scene: Scene, problem: Problem, regression: Regression, bodies: ConsistentBodies, say: Say
 ) -> Identified:
-    """What was found, as values.
+    """Build the identified scene, test it, and describe the result in tables and lines.
 
     Args:
-        scene: The scene as it was given.
-        fitted: The nearest bodies.
-        say: Is told what matters.
+        scene: The given scene.
+        say: Receives the lines of the summary.
     """
-    fit, entries = found.fit, _friction(problem, found, fitted)
-    inertias, remarks = inertias_of_links(problem.scene.robot, problem.bodies, fitted.inertial)
+    fit, entries = regression.fit, _friction_of(problem, regression, bodies)
+    inertias, remarks = inertias_of_links(problem.scene.robot, problem.bodies, bodies.inertial)
     new = identified_scene(problem.scene, inertias, entries)
-    test = tested(scene, new, problem, found)
-    base = _base_table(problem, found, fitted)
+    test = compare_scenes(scene, new, problem, regression)
+    base = _base_table(problem, regression, bodies)
     tables = {
         "base_parameters": base,
-        "bodies": _bodies_table(problem, fitted),
+        "bodies": _bodies_table(problem, bodies),
         "friction": _friction_table(entries),
         "drives": _drives_table(problem, test.feedback),
         "validation": test.table,
     }
     r = len(fit.base)
-    for text in (*remarks, *_lines(problem, found, fitted, test), *_shown(base)):
+    for text in (*remarks, *_summary(problem, regression, bodies, test), *_hidden_line(base)):
         say(text)
-    covariance = found.covariance[:r, :r]
-    about = found.delay, problem.band, fit.condition, test.errors
-    return Identified(new, tables, inertias, covariance, *about, [], test.residuals)
+    covariance = regression.covariance[:r, :r]
+    numbers = regression.delay, problem.band, fit.condition, test.errors
+    return Identified(new, tables, inertias, covariance, *numbers, [], test.residuals)
 
 
-def _friction(problem: Problem, found: Learned, fitted: Consistent) -> list[dict[str, object]]:
-    """Entries of the friction of all joints."""
-    chosen = [[problem.columns[i][k] for k in own] for i, own in enumerate(found.fit.taken)]
+def _friction_of(
+    problem: Problem, regression: Regression, bodies: ConsistentBodies
+) -> list[dict[str, object]]:
+    """Return scene entries for the friction of all joints."""
+    selection = enumerate(regression.fit.selection)
+    chosen = [[problem.columns[i][k] for k in columns] for i, columns in selection]
     ends = np.cumsum([0, *map(len, chosen)])
-    values = [fitted.friction[a:b].tolist() for a, b in pairwise(ends)]
-    return friction_entries(problem.labels, chosen, values, also_of(problem))
+    values = [bodies.friction[a:b].tolist() for a, b in pairwise(ends)]
+    return friction_entries(problem.labels, chosen, values, coupled_joints(problem))
 
 
 def friction_entries(
@@ -92,18 +94,18 @@ def friction_entries(
     values: Sequence[Sequence[float]],
     also: Sequence[Mapping[str, float]],
 ) -> list[dict[str, Any]]:
-    """Entries of `gear_friction`, of joints with any.
+    """Return entries of type `gear_friction` for the joints that have friction.
 
     Args:
-        names: Of the joints.
-        chosen: Columns of each.
-        values: Of these columns.
-        also: Of each the other joints that turn its motor, and their ratios.
+        names: Names of the joints.
+        chosen: Selected columns of each joint.
+        values: Values of these columns.
+        also: Other joints that turn the motor of each joint: name -> ratio.
     """
     entries = []
-    for name, columns, own, others in zip(names, chosen, values, also, strict=True):
+    for name, columns, numbers, others in zip(names, chosen, values, also, strict=True):
         entry: dict[str, Any] = {"type": "gear_friction", "joint": name}
-        for column, value in zip(columns, own, strict=True):
+        for column, value in zip(columns, numbers, strict=True):
             if column.term == "offset":
                 entry["offset"] = -float(value)
             elif column.term == "inertia":
@@ -120,47 +122,48 @@ def friction_entries(
     return entries
 
 
-def _base_table(problem: Problem, found: Learned, fitted: Consistent) -> Table:
-    """A base parameter a row: given, by least squares with its deviation, of the bodies."""
-    r, base = len(found.fit.base), problem.base
+def _base_table(problem: Problem, regression: Regression, bodies: ConsistentBodies) -> Table:
+    """Return a table with one base parameter per row: given, least squares, consistent bodies."""
+    r, base = len(regression.fit.base), problem.base
     names = [body.name for body in problem.bodies]
-    sigma = np.sqrt(np.maximum(np.diag(found.covariance)[:r], 0.0))
-    is_shown = sigma < _SHOWN * prior_deviation(base.matrix, problem.given)
+    sigma = np.sqrt(np.maximum(np.diag(regression.covariance)[:r], 0.0))
+    is_shown = sigma < _SHOWN_FACTOR * prior_deviation(base.matrix, problem.nominal)
     return Table(
         [
             TableColumn("name", np.array([parameter_name(int(i), names) for i in base.chosen])),
             TableColumn("expression", np.array(problem.texts)),
-            TableColumn("given", base.values(problem.given.ravel())),
-            TableColumn("estimate", found.fit.base),
+            TableColumn("given", base.values(problem.nominal.ravel())),
+            TableColumn("estimate", regression.fit.base),
             TableColumn("deviation", sigma),
             TableColumn("is_shown", is_shown.astype(np.float64)),
-            TableColumn("consistent", base.values(fitted.inertial.ravel())),
+            TableColumn("consistent", base.values(bodies.inertial.ravel())),
         ]
     )
 
 
-def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
-    """A body a row: its ten numbers about its mass centre, in the axes of its joint."""
-    found = [pin.Inertia.FromDynamicParameters(p) for p in fitted.inertial]
-    given = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
+def _bodies_table(problem: Problem, bodies: ConsistentBodies) -> Table:
+    """Return a table with one body per row, about mass centres and in the axes of joints."""
+    inertias = [pin.Inertia.FromDynamicParameters(p) for p in bodies.inertial]
+    nominal = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
     columns = [
         TableColumn("body", np.array([body.name for body in problem.bodies])),
         TableColumn("links", np.array([" ".join(body.links) for body in problem.bodies])),
-        TableColumn("mass", np.array([one.mass for one in found]), "kg"),
-        TableColumn("mass_given", np.array([one.mass for one in given]), "kg"),
+        TableColumn("mass", np.array([inertia.mass for inertia in inertias]), "kg"),
+        TableColumn("mass_given", np.array([inertia.mass for inertia in nominal]), "kg"),
     ]
     for k, axis in enumerate("xyz"):
-        columns.append(TableColumn(f"c{axis}", np.array([one.lever[k] for one in found]), "m"))
+        levers = np.array([inertia.lever[k] for inertia in inertias])
+        columns.append(TableColumn(f"c{axis}", levers, "m"))
     for i in range(3):
         for j in range(i, 3):
-            values = np.array([one.inertia[i, j] for one in found])
+            values = np.array([inertia.inertia[i, j] for inertia in inertias])
             columns.append(TableColumn(f"I{'xyz'[i]}{'xyz'[j]}", values, "kg·m^2"))
-    columns.append(TableColumn("deviation", fitted.deviation))
+    columns.append(TableColumn("deviation", bodies.deviation))
     return Table(columns)
 
 
 def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
-    """A joint a row."""
+    """Return a table of the friction with one joint per row."""
     keys = ("viscous", "coulomb", "load", "stribeck", "stribeck_velocity", "offset")
     keys += ("rotor_inertia", "smoothing")
     columns = [
@@ -174,26 +177,26 @@ def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
 
 
 def _drives_table(problem: Problem, feedback: tuple[Array, Array]) -> Table:
-    """A joint a row: torque for a unit of effort, what the drive answers to noise."""
+    """Return a table of gains and velocity feedback with one joint per row."""
     unit = "N·m·s/rad or N·s/m"
     columns = [TableColumn("joint", np.array(list(problem.labels), dtype=np.str_))]
     gains = [problem.gains.get(name, 1.0) for name in problem.labels]
-    scatter = problem.gain_deviation if len(problem.gain_deviation) else np.zeros(len(gains))
-    columns += [TableColumn("gain", np.array(gains)), TableColumn("gain_deviation", scatter)]
+    deviation = problem.gain_deviation if len(problem.gain_deviation) else np.zeros(len(gains))
+    columns += [TableColumn("gain", np.array(gains)), TableColumn("gain_deviation", deviation)]
     columns.append(TableColumn("feedback", feedback[0], unit))
     columns.append(TableColumn("feedback_deviation", feedback[1], unit))
     return Table(columns)
 
 
-class Tested(NamedTuple):
-    """What a test says.
+class TestResult(NamedTuple):
+    """Result of the test of an identified scene.
 
     Attributes:
-        errors: Shares of the torque, see `Identified.errors`; empty without a test.
-        table: A joint a row.
-        feedback: What drives answer to noise of the measured velocity, and its deviation
-            [N·m·s/rad or N·s/m], shape (m,) each.
-        residuals: Of the test: times [s], torques measured, identified and given; None without.
+        errors: Relative errors, as `Identified.errors`; empty without a test.
+        table: Errors with one joint per row.
+        feedback: Velocity feedback of the drives and its standard deviation [N·m·s/rad or N·s/m],
+            shape (m,) each.
+        residuals: Times [s] and torques measured, identified and given; None without a test.
     """
 
     errors: dict[str, float]
@@ -202,179 +205,195 @@ class Tested(NamedTuple):
     residuals: tuple[Array, Array, Array, Array] | None
 
 
-def _lines(problem: Problem, found: Learned, fitted: Consistent, test: Tested) -> list[str]:
-    """Summary for people."""
-    r, band, errors = len(found.fit.base), problem.band, test.errors
-    looked = "all that was measured" if band is None else f"up to {band:.3g} Hz"
+def _summary(
+    problem: Problem, regression: Regression, bodies: ConsistentBodies, test: TestResult
+) -> list[str]:
+    """Return the summary for people."""
+    r, band, errors = len(regression.fit.base), problem.band, test.errors
+    range_ = "unfiltered" if band is None else f"up to {band:.3g} Hz"
     lines = [
-        f"{r} base parameters, condition number {found.fit.condition:.3g}, {looked}",
+        f"{r} base parameters, condition number {regression.fit.condition:.3g}, {range_}",
     ]
     if (problem.joints < 0).any():
-        mass = sum(float(numbers[0]) for numbers in fitted.inertial)
-        lines.append(f"total mass {mass:.6g} kg, given {problem.given[:, 0].sum():.6g} kg")
+        mass = sum(float(numbers[0]) for numbers in bodies.inertial)
+        lines.append(f"total mass {mass:.6g} kg, given {problem.nominal[:, 0].sum():.6g} kg")
     if errors:
         shares = {key: 100.0 * value for key, value in errors.items()}
         lines.append(
-            "not learned from: identified {identified:.2f} % of the torque, given "
-            "{given:.2f} %; as measured, with its noise {identified as measured:.2f} % and "
-            "{given as measured:.2f} %".format(**shares)
+            "error on data that were not fitted: identified scene {identified:.2f} % of the "
+            "torque, given scene {given:.2f} %; with the noise of the measured torque "
+            "{identified as measured:.2f} % and {given as measured:.2f} %".format(**shares)
         )
         if (test.feedback[0] > 0.0).any():
-            lines.append(_answer(problem, test, shares))
+            lines.append(_feedback_line(problem, test, shares))
     if "least squares" in errors:
         price = 100.0 * (errors["identified"] - errors["least squares"])
-        lines.append(f"price of bodies that can exist: {price:+.2f} % beside least squares")
+        lines.append(f"error added by physical consistency: {price:+.2f} % over least squares")
     return lines
 
 
-def _answer(problem: Problem, test: Tested, shares: dict[str, float]) -> str:
-    """Says which drives answer to noise, and what it would be without."""
+def _feedback_line(problem: Problem, test: TestResult, shares: dict[str, float]) -> str:
+    """Return a line about drives with velocity feedback, and the errors without its correction."""
     pairs = zip(problem.labels, test.feedback[0], strict=True)
     gains = ", ".join(f"{name} {gain:.3g}" for name, gain in pairs if gain > 0.0)
     plain = "{identified without feedback:.2f} % and {given without feedback:.2f} %"
     return (
-        f"drives answer to noise of the measured velocity by {gains} N·m·s/rad, which is taken "
-        f"out of the efforts as measured; with it {plain.format(**shares)}"
+        f"drives feed the noise of the measured velocity back with {gains} N·m·s/rad; this is "
+        f"subtracted from the measured efforts, without that {plain.format(**shares)}"
     )
 
 
-def _shown(base: Table) -> list[str]:
-    """Names of the base parameters that the data tell, where they do not tell all."""
+def _hidden_line(base: Table) -> list[str]:
+    """Return a line with the base parameters that the data do not determine, if there are any."""
     is_shown = base["is_shown"] > 0.0
     if is_shown.all():
         return []
-    names = [str(name) for name, shown in zip(base["name"], is_shown, strict=True) if not shown]
+    names = [str(name) for name in base["name"][~is_shown]]
     return [
-        f"{int(is_shown.sum())} of {base.rows} base parameters are told better than by the given "
-        f"bodies; not {', '.join(names)}"
+        f"the data determine {int(is_shown.sum())} of {base.rows} base parameters better than the "
+        f"given bodies; the others are {', '.join(names)}"
     ]
 
 
-def tested(scene: Scene, new: Scene, problem: Problem, found: Learned) -> Tested:
-    """Errors of a new scene and the given one on what is left.
+def compare_scenes(
+    scene: Scene, new: Scene, problem: Problem, regression: Regression
+) -> TestResult:
+    """Compare the identified and the given scene with the test parts of the recordings.
 
     Args:
-        scene: As it was given.
-        new: What was found.
+        scene: The given scene.
+        new: The identified scene.
     """
-    names, delay = TableColumn("joint", np.array(list(problem.labels))), found.delay
-    none = np.zeros(len(problem.rows))
-    low = [_in_band(scene, new, problem, piece, delay) for piece in problem.tested()]
-    kept = [one for one in low if one is not None]
-    raw = as_measured(problem, (new, scene), problem.recorded(problem.left), delay)
-    if not kept or raw is None:
-        return Tested({}, Table([names]), (none, none), None)
-    feedback = feedback_of(problem, new, problem.recorded(problem.learned), delay)
-    answered = raw._replace(predictions=[p - feedback[0] * raw.noise for p in raw.predictions])
-    y, *pair = (np.concatenate([one[k] for one in kept]) for k in range(3))
-    errors, columns = _compared(y, pair, "")
-    for way, one in ((" as measured", answered), (" without feedback", raw)):
-        more, shown = _compared(one.effort, one.predictions, way)
-        errors, columns = errors | more, [*columns, *shown]
-    price = _least_squares(problem, found)
-    errors |= {} if price is None else {"least squares": price}
-    return Tested(errors, Table([names, *columns]), feedback, _pictured(answered))
+    names, delay = TableColumn("joint", np.array(list(problem.labels))), regression.delay
+    zero = np.zeros(len(problem.rows))
+    pieces = problem.test_pieces()
+    results = [_filtered_efforts(scene, new, problem, piece, delay) for piece in pieces]
+    filtered = [efforts for efforts in results if efforts is not None]
+    test_pieces = problem.pieces_of_motion(problem.test)
+    raw = compare_with_measured(problem, (new, scene), test_pieces, delay)
+    if not filtered or raw is None:
+        return TestResult({}, Table([names]), (zero, zero), None)
+    training_pieces = problem.pieces_of_motion(problem.training)
+    feedback = estimate_feedback(problem, new, training_pieces, delay)
+    corrected = raw._replace(predictions=[p - feedback[0] * raw.noise for p in raw.predictions])
+    y, *pair = (np.concatenate([efforts[k] for efforts in filtered]) for k in range(3))
+    errors, columns = _relative_errors(y, pair, "")
+    for suffix, samples in ((" as measured", corrected), (" without feedback", raw)):
+        more_errors, more_columns = _relative_errors(samples.effort, samples.predictions, suffix)
+        errors, columns = errors | more_errors, [*columns, *more_columns]
+    least = _least_squares_error(problem, regression)
+    errors |= {} if least is None else {"least squares": least}
+    return TestResult(errors, Table([names, *columns]), feedback, _residual_curves(corrected))
 
 
-def _in_band(
+def _filtered_efforts(
     scene: Scene, new: Scene, problem: Problem, piece: Piece, delay: float
 ) -> list[Array] | None:
-    """Torques measured, identified and given, through the filter; None of too short a piece."""
+    """Return filtered torques: measured, identified and given; None if the piece is too short."""
     band, count = problem.band, len(piece.times)
     rate = 1.0 / float(np.median(np.diff(piece.times)))
     step = 1 if band is None else max(grid_step(rate, band), count // _MOST_SAMPLES)
     grid = np.arange(0, count, step)
     loads = [load[grid] for load in piece.loads]
     motion = piece.y[grid], piece.v[grid], piece.a[grid]
-    predictions = [torques(one, problem, motion, loads, piece.carried) for one in (new, scene)]
-    values = [efforts(problem, piece, piece.effort, grid, delay), *predictions]
+    predictions = [
+        predicted_efforts(s, problem, motion, loads, piece.payload) for s in (new, scene)
+    ]
+    values = [efforts_of_rows(problem, piece, piece.effort, grid, delay), *predictions]
     if band is None:
         return values
     low = Filter.of(rate / step, band)
     if not len(low.starts(len(grid))):
         return None
-    return [low.passed(one) for one in values]
+    return [low.apply(torques) for torques in values]
 
 
-def _compared(
-    y: Array, predictions: list[Array], way: str
+def _relative_errors(
+    y: Array, predictions: list[Array], suffix: str
 ) -> tuple[dict[str, float], list[TableColumn]]:
-    """Shares of all, and of each joint, that the new and the given scene leave."""
+    """Return relative errors of the identified and the given scene: of all joints, and of each.
+
+    Args:
+        suffix: Ending of the keys and of the names of columns.
+    """
     errors, columns = {}, []
     size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), TINY)
-    for who, prediction in zip(("identified", "given"), predictions, strict=True):
-        key, off = f"{who}{way}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
+    for model, prediction in zip(("identified", "given"), predictions, strict=True):
+        key, rms = f"{model}{suffix}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
         errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), TINY))
-        columns.append(TableColumn(f"{key.replace(' ', '_')}.rms", off, "N·m or N"))
-        columns.append(TableColumn(f"{key.replace(' ', '_')}.share", 100.0 * off / size, "%"))
+        columns.append(TableColumn(f"{key.replace(' ', '_')}.rms", rms, "N·m or N"))
+        columns.append(TableColumn(f"{key.replace(' ', '_')}.share", 100.0 * rms / size, "%"))
     return errors, columns
 
 
-def _least_squares(problem: Problem, found: Learned) -> float | None:
-    """Share of the torque of the test that least squares leave, in the band."""
-    left, whole = 0.0, 0.0
-    for piece in problem.tested():
-        for block in problem.maker.blocks(piece, problem.band, np.array([found.delay])):
-            of = problem.motors.as_measured
-            left += float(np.sum(np.square(of(residual(block, found.fit)))))
-            whole += float(np.sum(np.square(of(block.Y[:, :, 0] + block.known))))
-    return float(np.sqrt(left / whole)) if whole > 0.0 else None
+def _least_squares_error(problem: Problem, regression: Regression) -> float | None:
+    """Return the relative error of least squares in the test, in the band."""
+    error, total = 0.0, 0.0
+    for piece in problem.test_pieces():
+        for block in problem.maker.blocks(piece, problem.band, np.array([regression.delay])):
+            as_measured = problem.motors.as_measured
+            error += float(np.sum(np.square(as_measured(residual(block, regression.fit)))))
+            total += float(np.sum(np.square(as_measured(block.Y[:, :, 0] + block.known))))
+    return float(np.sqrt(error / total)) if total > 0.0 else None
 
 
-def _pictured(found: Measured) -> tuple[Array, Array, Array, Array]:
-    return found.times, found.effort, found.predictions[0], found.predictions[1]
+def _residual_curves(samples: Measured) -> tuple[Array, Array, Array, Array]:
+    return samples.times, samples.effort, samples.predictions[0], samples.predictions[1]
 
 
 def identified_scene(
     scene: Scene, inertias: Mapping[str, Any], friction: Sequence[Mapping[str, Any]]
 ) -> Scene:
-    """The scene with other inertias and friction."""
-    found = with_inertias(scene, inertias)
+    """Return the scene with other inertias and additional friction."""
+    new = with_inertias(scene, inertias)
     if not friction:
-        return found
+        return new
     forces = [*(scene.entries.get("forces") or []), *(dict(entry) for entry in friction)]
-    return with_sections(found, forces=forces)
+    return with_sections(new, forces=forces)
 
 
 def without_friction(scene: Scene) -> Scene:
-    """The scene without the friction of its joints."""
-    given = scene.entries.get("forces") or []
-    kept = [entry for entry in given if entry.get("type") not in FRICTION]
-    return scene if len(kept) == len(given) else with_sections(scene, forces=kept)
+    """Return the scene without the friction of its joints."""
+    forces = scene.entries.get("forces") or []
+    others = [entry for entry in forces if entry.get("type") not in FRICTION]
+    return scene if len(others) == len(forces) else with_sections(scene, forces=others)
 
 
 def description_of(scene: Scene) -> str:
-    """URDF of the only robot of a scene, its inertias written into it.
+    """Return the URDF of the only robot of a scene, with the inertias of the scene.
 
     Raises:
         SceneError: There are several robots or bodies.
     """
-    recipes = scene.robot.recipes
-    if len(recipes) != 1 or recipes[0].name or recipes[0].shape:
-        raise SceneError(f"{scene.name}: files are written of scenes with one robot; use Python")
-    tree = xml_tree(recipes[0].text)
-    place_inertias(tree, recipes[0].inertias or {}, recipes[0].source)
+    model_sources = scene.robot.model_sources
+    if len(model_sources) != 1 or model_sources[0].name or model_sources[0].shape:
+        raise SceneError(
+            f"{scene.name}: the scene has several robots or bodies, but files are written only "
+            "for scenes with one robot; use mbd_ros.identify in Python"
+        )
+    tree = xml_tree(model_sources[0].text)
+    place_inertias(tree, model_sources[0].inertias or {}, model_sources[0].source)
     return ElementTree.tostring(tree, encoding="unicode")
 
 
 def scene_text(scene: Scene, urdf: str) -> str:
-    """YAML of a scene whose robot is a file of that name."""
-    given = scene.entries.get("robot") or {}
-    kept = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}
-    entries = {"robot": {"urdf": urdf, **kept}}
+    """Return the YAML of a scene whose robot is the file `urdf`."""
+    robot = scene.entries.get("robot") or {}
+    others = {k: v for k, v in robot.items() if k not in ("urdf", "osim", "mjcf")}
+    entries = {"robot": {"urdf": urdf, **others}}
     entries |= {key: entry for key, entry in scene.entries.items() if key != "robot"}
     return yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=_WIDTH)
 
 
-def csv(table: Table) -> bytes:
-    """Comma-separated values with a line of names; texts are quoted where they need it."""
+def csv_bytes(table: Table) -> bytes:
+    """Return comma-separated values with a header; texts are quoted where they need it."""
     rows = zip(*(column.values.tolist() for column in table.columns), strict=True)
     lines = [",".join(column.name for column in table.columns)]
-    lines += [",".join(_word(value) for value in row) for row in rows]
+    lines += [",".join(_cell(value) for value in row) for row in rows]
     return ("\n".join(lines) + "\n").encode()
 
 
-def _word(value: Any) -> str:
+def _cell(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"' if "," in value else value
     return repr(float(value))

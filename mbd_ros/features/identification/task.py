@@ -1,7 +1,7 @@
-"""What an identification is asked for, and what it returns."""
+"""Options and result of an identification."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
@@ -15,33 +15,40 @@ AUTO = "auto"
 
 
 class Task(NamedTuple):
-    """What is asked for.
+    """Options of an identification.
 
     Attributes:
-        motions: Results, files or bags.
-        wrenches: Of tables with external loads, one a motion, or none.
+        motions: Results, tables or bags with positions and efforts.
+        wrenches: Tables of the external loads, one per motion; a bag contains its own.
         topic: JointState topic of bags.
-        derivatives: given or zero-phase; None: given where a motion has accelerations.
-        band: End of the band that is looked at [Hz]; None: from the motion.
-        friction: Terms of friction that may be taken, or `auto` for all.
-        gains: Joint -> torque for a unit of its effort, such as a motor constant [N·m/A].
-        passive: Joints without a motor.
-        learned: Share of the time of each recording that is learned from.
-        delay: Of efforts against motion [s]; None: estimated.
-        held: Motions with a known load.
-        payload: That load: link, and mass, centre and perhaps principal moments about it in the
-            axes of the link.
-        known: Links that the description has right.
-        currents: Efforts are in other units, whose gains are estimated.
-        partial: Go on with a motion that does not show all that states can show.
+        derivatives: Source of velocities and accelerations. By default given for a motion with
+            accelerations, else zero-phase.
+        band: End of the frequency band of the fit [Hz]. By default it is chosen from the motion
+            and printed.
+        friction: Terms of friction that may be used: auto for all, none, or some of viscous,
+            coulomb, offset, load, stribeck and inertia.
+        gains: Torque for a unit of the effort of a joint, such as a motor constant behind a gear
+            [N·m/A].
+        passive: Joints without a motor. By default joints that place the first body, if nothing
+            but wrenches is measured.
+        learned: Share of the time of each recording that is used for the fit; the remaining part
+            is for the test.
+        delay: Delay of efforts against motion [s]. By default it is estimated.
+        held: Recordings of the robot with a known load, which `payload` describes.
+        payload: The known load: a link, and mass [kg], centre [m] and optionally principal moments
+            about the centre [kg m^2], in the axes of the link.
+        known: Links whose inertia in the description is right.
+        currents: Efforts are in other units, such as motor currents. Their gains are estimated
+            from a known load, link or force.
+        partial: Accept a motion that hides some parameters; these keep their values.
     """
 
     motions: Sequence[Source]
     wrenches: Sequence[Source] = ()
     topic: str = "/joint_states"
-    derivatives: str | None = None
+    derivatives: Literal["given", "zero-phase"] | None = None
     band: float | None = None
-    friction: Sequence[str] = (AUTO,)
+    friction: Sequence[str] = ("auto",)
     gains: Mapping[str, float] = {}
     passive: Sequence[str] = ()
     learned: float = 0.6
@@ -54,10 +61,10 @@ class Task(NamedTuple):
 
     @property
     def allowed(self) -> tuple[str, ...]:
-        """Terms of friction that may be taken.
+        """Terms of friction that may be used.
 
         Raises:
-            DataError: A term that does not exist.
+            DataError: A term does not exist.
         """
         if list(self.friction) == [AUTO]:
             return TERMS
@@ -72,22 +79,23 @@ class Task(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """What an identification found.
+    """Result of an identification.
 
     Attributes:
-        scene: The scene with these numbers; its bodies are consistent.
+        scene: The identified scene; its bodies are physically consistent.
         tables: `base_parameters`, `bodies`, `friction`, `drives`, `validation`, by name.
-        inertias: Link -> `pinocchio.Inertia` that differs from the given one.
-        covariance: Of the base parameters by least squares, shape (r, r).
-        delay: Of efforts against the motion [s].
-        band: End of the band that was looked at [Hz]; None for all that was measured.
-        condition: Of the scaled, weighted rows.
-        errors: Share of the torque that is not explained, of what was not learned from:
-            `identified` and `given`, in the band, `.. as measured`, and so `.. without feedback`:
-            with what drives answer to noise of the measured velocity.
+        inertias: Link -> `pinocchio.Inertia`, for links whose inertia changed.
+        covariance: Covariance of the base parameters by least squares, shape (r, r).
+        delay: Delay of efforts against the motion [s].
+        band: End of the frequency band of the fit [Hz]; None if samples were not filtered.
+        condition: Condition number of the scaled, weighted rows.
+        errors: Relative errors of the torques in the test. `identified` and `given` are those of
+            the two scenes in the band, `.. as measured` those without a filter. `.. without
+            feedback` are the latter without the correction for drives that feed the noise of the
+            measured velocity back.
         remarks: Lines for people.
-        residuals: Of the test, for pictures: times [s], torques measured, identified and given,
-            shape (n, m) each; None without a test.
+        residuals: Times [s] and torques measured, identified and given, shape (n, m) each, of the
+            test; None without a test.
     """
 
     scene: Scene
@@ -103,7 +111,7 @@ class Identified(NamedTuple):
 
 
 def keep_remarks(say: Say | None) -> tuple[list[str], Say]:
-    """A list of lines for people, and what adds lines to it and says them."""
+    """Return a list of lines, and a function that adds a line to it and passes it to `say`."""
     remarks: list[str] = []
 
     def tell(line: str) -> None:

@@ -1,7 +1,7 @@
-"""Inverse dynamics from bag to bag, piece by piece: memory does not grow with the recording.
+"""Inverse dynamics from bag to bag, piece by piece, so that memory does not grow.
 
-Behind causal filters a piece is solved as it is read. A low-pass without lag sees the future:
-there the motion waits in a file and is filtered window by window.
+With causal filters a piece is solved as it is read. A zero-phase filter needs the future, so the
+motion is stored in a temporary file and filtered window by window.
 """
 
 from collections import Counter
@@ -35,29 +35,29 @@ from mbd_ros.motion.recordings import name_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.built_scene import Scene
 
-_PIECE = 16_384  # samples that are solved and written at once
+_PIECE = 16_384  # samples that are solved and written together
 
 
 def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int | None:
     """Write the torques of a bag into a bag.
 
     Args:
-        task: What is asked for.
+        scene: The scene.
+        task: The motion, and what is computed.
         motion: The bag of the motion.
         out: The bag to write.
-        say: Is told what was done and left out, a line each.
+        say: Called with each line for people.
 
     Returns:
-        Number of samples; None, and nothing is done or said, where the motion has to be read as
-        a whole.
+        Number of samples; None, without any effect, if the motion must be read at once.
     """
     source, _, half_width = task.derivatives
     if task.bounds or task.power or task.stance or not _is_plain(scene):
         return None
     if source not in ("causal", "zero-phase") or half_width:
         return None
-    turning = any(joint.kind == "continuous" for joint in scene.robot.joints)
-    if source == "zero-phase" and turning:  # turns are counted over the whole
+    is_unbounded = any(joint.kind == "continuous" for joint in scene.robot.joints)
+    if source == "zero-phase" and is_unbounded:  # turns are counted over the whole motion
         return None
     from mbd_ros.files.bags.bag import Bag, DifferentPieceError
 
@@ -80,34 +80,34 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
 
 
 def _is_plain(scene: Scene) -> bool:
-    """Whether one topic carries all that the torques depend on."""
+    """Return whether the torques depend on one topic only."""
     others = scene.has_loops or scene.wrenches or scene.parts.get("contacts") or scene.actuators
     robot = scene.robot
     return bool(scene.couplings.independent) and not (others or robot.bases or robot.members)
 
 
 class Source(Protocol):
-    """Samples piece by piece, and then what is to be said of them."""
+    """Samples piece by piece, and lines about them afterwards."""
 
     def __iter__(self) -> Iterator[Observations]:
-        """The pieces."""
+        """Yield the pieces."""
         ...
 
-    def taken(self, table: Table) -> None:
-        """Look at the table of a piece."""
+    def record(self, table: Table) -> None:
+        """Record the torques of a piece."""
         ...
 
     def lines(self) -> Iterator[str]:
-        """Of what was left out, and of derivatives."""
+        """Yield lines about dropped messages and about derivatives."""
         ...
 
     def last_lines(self) -> Iterator[str]:
-        """Of the torques."""
+        """Yield lines about the torques."""
         ...
 
 
 class CausalSource:
-    """Samples of a bag behind the causal filters."""
+    """Samples of a bag after the causal filters."""
 
     def __init__(self, scene: Scene, task: Task, path: Path) -> None:
         solver = scene.inverse_dynamics()
@@ -125,26 +125,26 @@ class CausalSource:
             if len(samples.stamps):
                 yield samples
 
-    def taken(self, table: Table) -> None:
-        """Nothing to look at."""
+    def record(self, table: Table) -> None:
+        """Record nothing."""
 
     def lines(self) -> Iterator[str]:
-        """Messages and samples that were left out, and the lag of the filters."""
+        """Yield lines about dropped messages and samples, and the lag of the filters."""
         dropped = self._blocks.dropped.items()
         yield from (f"{self._where}: {count} messages left out: {why}" for why, count in dropped)
         yield causal_line(self._estimator.differentiator, self._cutoff)
         yield from (f"{count} samples left out: {why}" for why, count in self._unused.items())
 
     def last_lines(self) -> Iterator[str]:
-        """None."""
+        """Yield no lines."""
         return iter(())
 
 
 class _Pieces:
-    """Results of pieces of a motion, and then what is to be said of all.
+    """Results of the pieces of a motion, and lines about them afterwards.
 
     Attributes:
-        rows: Samples so far.
+        rows: Number of samples so far.
     """
 
     def __init__(self, scene: Scene, task: Task, source: Source) -> None:
@@ -161,26 +161,27 @@ class _Pieces:
             table = Table([*time_columns(samples.stamps), *columns])
             check_finite(self._where, table)
             self._violations.add(samples)
-            self._source.taken(table)
+            self._source.record(table)
             self.rows += table.rows
             yield Result({MAIN: table}, self._about)
         if not self.rows:
             raise DataError(f"{self._where}: no sample can be used")
 
     def lines(self) -> list[str]:
-        """For people, in the order of a motion that is read as a whole."""
-        doubts = (f"warning: {text}" for text in self._scene.robot.doubts)
+        """Return lines for people, in the order of those for a motion that is read at once."""
+        doubts = (f"warning: {text}" for text in self._scene.robot.inertia_warnings)
         source = self._source
         return [*doubts, *source.lines(), *self._violations.lines(), *source.last_lines()]
 
 
 class SmoothedSource:
-    """Samples of a bag behind the low-pass that sees the future, window by window.
+    """Samples of a bag after the zero-phase filter, window by window.
 
     Args:
-        scene: No joint of it turns without end.
-        task: What is asked for.
-        folder: Where the motion waits in a file.
+        scene: A scene without continuous joints.
+        task: The motion, and what is computed.
+        path: The bag of the motion.
+        folder: Folder for the temporary file.
     """
 
     def __init__(self, scene: Scene, task: Task, path: Path, folder: Path) -> None:
@@ -211,7 +212,7 @@ class SmoothedSource:
 
     def __iter__(self) -> Iterator[Observations]:
         for motion in self._blocks:
-            self._keep(motion)
+            self._store(motion)
         cutoff = self._task.derivatives.cutoff
         with about(self._where), np.errstate(over="ignore", invalid="ignore"):
             moving = self._moving, self._measured
@@ -219,12 +220,12 @@ class SmoothedSource:
             self._windows = Windows(self._stamps, self._cutoff)
             for rows, *smooth in smoothed(self._windows, *moving, self._cutoff):
                 dependent = self._moving.dependent(rows)
-                whole = Observations(self._stamps[rows], *smooth, dependent)
-                for i in range(0, len(whole.stamps), _PIECE):
-                    yield Observations(*(field[i : i + _PIECE] for field in whole))
+                window = Observations(self._stamps[rows], *smooth, dependent)
+                for i in range(0, len(window.stamps), _PIECE):
+                    yield Observations(*(field[i : i + _PIECE] for field in window))
 
-    def _keep(self, motion: Motion) -> None:
-        """Put a piece of the motion aside."""
+    def _store(self, motion: Motion) -> None:
+        """Store a piece of the motion in the temporary files."""
         n, (velocity, effort) = self._n, (motion.velocity, motion.effort)
         for every, values in ((self._measured, velocity), (self._driven, effort)):
             every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
@@ -236,8 +237,8 @@ class SmoothedSource:
         if self._driven.any():
             self._effort.append(effort)
 
-    def taken(self, table: Table) -> None:
-        """Keep the torques beside the measured efforts of their joints."""
+    def record(self, table: Table) -> None:
+        """Store the torques of joints with measured efforts."""
         joints = self._names[: self._n]
         self._pairs = measured_columns(joints, list(table), self._driven)
         if not self._pairs:
@@ -247,7 +248,7 @@ class SmoothedSource:
         self._tau.append(np.column_stack([table[name] for _, name in self._pairs]))
 
     def lines(self) -> Iterator[str]:
-        """Messages that were left out, and the cut-offs."""
+        """Yield lines about dropped messages and the cutoffs."""
         dropped = self._blocks.dropped.items()
         yield from (f"{self._where}: {count} messages left out: {why}" for why, count in dropped)
         self._cutoff = stated(self._stamps, self._cutoff)
@@ -256,7 +257,7 @@ class SmoothedSource:
         yield from cutoff_lines(self._cutoff, names, chosen, len(self._stamps))
 
     def last_lines(self) -> Iterator[str]:
-        """How far the torques are off the measured efforts."""
+        """Yield a line about the error of torques against measured efforts."""
         if self._tau is not None:
             joints = [j for j, _ in self._pairs]
             sides = _Sides(self._effort, joints, self._tau)
@@ -264,29 +265,28 @@ class SmoothedSource:
 
 
 class _Sides:
-    """Measured efforts of some joints, then their torques, by rows."""
+    """Rows of measured efforts of some joints, then of their torques."""
 
     def __init__(self, effort: Spool, joints: list[int], tau: Spool) -> None:
         self._effort, self._joints, self._tau = effort, joints, tau
 
     def __getitem__(self, rows: slice) -> Array:
-        """Some rows, shape (n, 2 * joints)."""
+        """Return some rows, shape (n, 2 * joints)."""
         return np.hstack([self._effort[rows][:, self._joints], self._tau[rows]])
 
 
 class _Moving:
-    """Positions and velocities of the independent joints, and positions of the others, by rows."""
+    """Rows of positions and velocities of independent joints, and of positions of the others."""
 
     def __init__(self, spool: Spool, independent: int) -> None:
         self.spool, self._n = spool, independent
 
     def __getitem__(self, rows: slice) -> Array:
-        """Those of the independent joints."""
+        """Return positions and velocities of the independent joints."""
         return self.spool[rows][:, : 2 * self._n]
 
     def dependent(self, rows: slice) -> Array:
-        """Positions of the other joints."""
-        none = self.spool.width == 2 * self._n
-        return (
-            np.zeros((rows.stop - rows.start, 0)) if none else self.spool[rows][:, 2 * self._n :]
-        )
+        """Return the positions of the other joints."""
+        if self.spool.width == 2 * self._n:
+            return np.zeros((rows.stop - rows.start, 0))
+        return self.spool[rows][:, 2 * self._n :]

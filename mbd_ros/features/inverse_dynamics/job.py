@@ -1,7 +1,7 @@
 """Inverse dynamics of recorded motions: `mbd-ros inverse`.
 
 The torques come from `motion.inverse_solution`. In a result `.effort` is the torque of a joint and
-`.command` what its actuator takes.
+`.command` the input of its actuator.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,50 +65,60 @@ def inverse(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Torques and coupling forces of a motion.
+    """Compute the joint torques and constraint forces of a motion.
 
     Args:
+        scene: The scene.
         motion: Result, file or bag with the positions of its joints.
         derivatives: given, causal, zero-phase or opensim.
-        cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
-        half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
-        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        cutoff: Half-power frequency of the filters [Hz]; None for the default of the filter.
+        half_width: Samples on either side of a local zero-phase fit, in place of a cutoff.
+        wrenches: Result, file or bag of the external loads. A bag that holds the motion holds its
+            loads, too.
         external: External loads of OpenSim (.xml), in place of those of the scene.
-        time_range: First and last time that is solved [s]; derivatives come from the whole motion.
-        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, as `x,z,-y`, or
-            `screen` where a .c3d says them.
+        time_range: First and last time that is solved [s]. Derivatives still come from the whole
+            motion.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, such as `x,z,-y`;
+            `screen` takes them from a .c3d.
         topic: JointState topic of a bag.
-        parts: Also give the torque components (gravity, coriolis, inertial, external).
-        bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
-            drives are unknowns that keep their law, not parts of the efforts.
-        power: Also give the powers of joints, parts and segments, their sums and their balance.
-        stance: `minimum-norm` or `smooth`: forces of contacts that nobody measured are unknowns,
-            and this decides where the motion does not; None takes 0 for them.
-        stance_gap: Largest gap of what is on the ground, as a multiple of the size L [-].
-        stance_speed: Largest speed of it along the normal, as a multiple of sqrt(g L) [-].
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        parts: Also compute the torques by cause (gravity, coriolis, inertial, external).
+        bounds: Keep efforts within the limits of actuators. Forces of stops, dry friction and
+            limited drives are then unknowns within their laws, not parts of the efforts.
+        power: Also compute the powers of joints, parts and segments, and their balance.
+        stance: `minimum-norm` or `smooth` makes forces of unmeasured contacts unknowns, and
+            decides between them where the motion does not; None takes 0 for them.
+        stance_gap: Largest gap of a contact that stands, as a multiple of the length L [-].
+        stance_speed: Largest speed along the normal of a contact that stands, as a multiple of
+            sqrt(g L) [-].
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
-        perhaps `.<cause>`, `<joint>.multiplier`, `<part>.<quantity>`, perhaps `<joint>.command`;
-        the independent joints, in a scene with loops all of them. Of free bodies
-        `<body>.position.x` and so on, and `<body>.residual.force_x`: what nothing carries.
+        `<joint>.multiplier`, `<part>.<quantity>`, `<joint>.command`, with `parts` also
+        `<joint>.<cause>`. The joints are the independent ones, in a scene with loops all. Free
+        bodies have `<body>.position.x` and so on, and the residual force
+        `<body>.residual.force_x`, which nothing carries.
 
     Raises:
-        DataError: Something cannot be read or does not fit the scene.
+        DataError: A file cannot be read or does not fit the scene.
         SolveError: A mechanism with loops cannot be assembled, or its actuators cannot produce
             the motion.
     """
-    chosen = Derivatives(derivatives, cutoff, half_width)
     remarks: list[str] = []
-    asked = stance_of(stance, stance_gap, stance_speed)
     with watching(progress):
-        loads = None if external is None else Path(external)
         task = Task(
-            *(motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power, asked),
-            wrench_axes,
+            motion,
+            Derivatives(derivatives, cutoff, half_width),
+            wrenches,
+            topic,
+            parts=parts,
+            bounds=bounds,
+            external=None if external is None else Path(external),
+            time_range=time_range,
+            power=power,
+            stance=stance_of(stance, stance_gap, stance_speed),
+            wrench_axes=wrench_axes,
         )
         result = run_inverse(scene, task, say or remarks.append)
     if say is None:
@@ -117,10 +127,10 @@ def inverse(
 
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
-    """Do the task of `inverse`."""
+    """Return the result of `inverse` for a task."""
     where, solved = name_of(task.motion), solve_motion(scene, task, say)
     scene, observed, ground = solved.scene, solved.observed, solved.ground
-    columns, remarks, explained = solved.way
+    columns, remarks, explained = solved.solution
     if task.power:
         powers, text = power_columns(scene, explained, solved.wrenches, solved.contacts)
         columns, remarks = [*columns, *powers], [*remarks, text]
@@ -143,16 +153,17 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
 
 
 def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
-    """Commands that give the efforts of a table.
+    """Compute the commands that produce the efforts of a table.
 
-    Commands are those of actuators that take something else than the torque of their joint, and
-    whose torque follows from a motion: internal states are not in it.
+    Only actuators that take something else than the torque of their joint get commands, and only
+    those without internal states, which a motion does not contain.
 
     Args:
+        scene: The scene.
         table: Motion and efforts.
 
     Returns:
-        Columns `.command`, and remarks on efforts that no command gives.
+        Columns `.command`, and remarks on efforts that no command produces.
 
     Raises:
         DataError: A command is not finite.
@@ -165,27 +176,29 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
         if not all(f"{name}.effort" in table for name in actuator.joints):
             continue
         if actuator.internal:
-            states_of = ", ".join(one.name or "its state" for one in actuator.internal)
-            remarks.append(f"{actuator.name}: no command, a motion does not show {states_of}")
+            names_of_states = ", ".join(z.name or "its state" for z in actuator.internal)
+            remarks.append(
+                f"{actuator.name}: no command, since a motion does not contain {names_of_states}"
+            )
             continue
-        wanted = np.column_stack([table[f"{name}.effort"] for name in actuator.joints])
-        pairs = list(zip(wanted, states, strict=True))
+        efforts = np.column_stack([table[f"{name}.effort"] for name in actuator.joints])
+        pairs = list(zip(efforts, states, strict=True))
         u = np.array([actuator.demanded(tau, x) for tau, x in pairs])
         if not np.isfinite(u).all():
             row, i = np.argwhere(~np.isfinite(u))[0]
-            listed = ", ".join(f"{effort:.4g}" for effort in wanted[row])
+            listed = ", ".join(f"{effort:.4g}" for effort in efforts[row])
             raise DataError(
                 f"{inputs[i]}.command at {table[TIME][row]:.9g} s is not "
-                f"finite: no command of its actuator gives the effort {listed}"
+                f"finite: no command of its actuator produces the effort {listed}"
             )
-        given = _given(scene, actuator, u, states)
-        short = np.abs(given - wanted) > _SAME_EFFORT * np.abs(wanted).max(initial=1.0)
-        for name, lacking in zip(actuator.joints, short.T, strict=True):
-            if lacking.any():
-                t = table[TIME][int(np.argmax(lacking))]
+        produced = _efforts_of_commands(scene, actuator, u, states)
+        differs = np.abs(produced - efforts) > _SAME_EFFORT * np.abs(efforts).max(initial=1.0)
+        for name, is_beyond in zip(actuator.joints, differs.T, strict=True):
+            if is_beyond.any():
+                t = table[TIME][int(np.argmax(is_beyond))]
                 remarks.append(
-                    f"{name}: its actuator cannot give {lacking.sum()} of {len(lacking)} efforts, "
-                    f"the first at {t:.9g} s: beyond its limit"
+                    f"{name}: {is_beyond.sum()} of {len(is_beyond)} efforts are beyond the limit "
+                    f"of its actuator, the first at {t:.9g} s"
                 )
         if actuator.takes or inputs != actuator.joints:
             names += inputs
@@ -194,7 +207,7 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
 
 
 def _states(scene: Scene, table: Table) -> list[State]:
-    """The states of a table, a row each."""
+    """Return the states of all rows of a table."""
     model = scene.robot.model
     q, v = np.zeros((table.rows, model.nq)), np.zeros((table.rows, model.nv))
     for joint in scene.robot.joints:
@@ -209,31 +222,33 @@ def _states(scene: Scene, table: Table) -> list[State]:
     return [State(*row) for row in zip(times, q, v, strict=True)]
 
 
-def _given(scene: Scene, actuator: Actuator, commands: Array, states: Sequence[State]) -> Array:
-    """Efforts of the joints of an actuator under its commands, a row a state."""
+def _efforts_of_commands(
+    scene: Scene, actuator: Actuator, commands: Array, states: Sequence[State]
+) -> Array:
+    """Return the efforts of the joints of an actuator under its commands, one row per state."""
     k, idle = Kinematics(scene.robot), Loads(scene.robot.model.nv, (), scene.actuators).idle
     at = [scene.robot.joint(name).v for name in actuator.joints]
-    given = np.empty((len(states), len(at)))
+    efforts = np.empty((len(states), len(at)))
     for row, (u, x) in enumerate(zip(commands, states, strict=True)):
         every = idle.copy()
         every[actuator.u] = u
         k.refresh(x.q, x.v, actuator.reads)
-        given[row] = actuator.force(k, x, every)[at]
-    return given
+        efforts[row] = actuator.force(k, x, every)[at]
+    return efforts
 
 
 def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
-    """Read a motion, write its torques.
+    """Read a motion, and write its torques.
 
     Args:
-        task: What is asked for.
-        out: Its suffix chooses the format.
-        say: Is told what was done and left out, a line each.
+        task: The motion, and what is computed.
+        out: Path whose suffix chooses the format.
+        say: Called with each line for people.
     """
     sources = [s for s in (task.motion, task.wrenches, task.external) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)
     check_place(out)
-    rows, source = _in_pieces(scene, task, out, say), task.derivatives.source
+    rows, source = _stream(scene, task, out, say), task.derivatives.source
     if rows is None:
         result = run_inverse(scene, task, say)
         result.to(out)
@@ -241,8 +256,8 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     say(f"{rows} samples, {source} derivatives -> {out}")
 
 
-def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
-    """Number of samples written from bag to bag; None where that takes the whole motion."""
+def _stream(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
+    """Write from bag to bag; return the number of samples, or None if this is not possible."""
     if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
         return None
     if (task.external, task.time_range, task.wrench_axes) != (None, None, None):
@@ -253,7 +268,7 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
 
 
 def inverse_batch(batch: Batch, say: Say) -> None:
-    """Do all motions; the options are `parts`, `bounds`, `power` and those of the stance."""
+    """Solve all motions; the options are `parts`, `bounds`, `power` and those of the stance."""
 
     def check() -> None:
         refuse_unused(load_scene(batch.scene), batch.wrenches)
@@ -262,12 +277,12 @@ def inverse_batch(batch: Batch, say: Say) -> None:
 
 
 def inverse_in_worker(argument: Mapping[str, Any]) -> Outcome:
-    """One motion, in a worker."""
+    """Solve one motion in a worker process."""
     return do_one(argument, _inverse_of_batch)
 
 
 def _inverse_of_batch(batch: Batch, say: Say) -> None:
-    kinds = {name: batch.options[name] for name in ("parts", "bounds", "power")}
+    outputs = {name: batch.options[name] for name in ("parts", "bounds", "power")}
     stance = stance_of(*(batch.options[name] for name in ("stance", "stance_gap", "stance_speed")))
-    task = task_of(batch)._replace(**kinds, stance=stance)
+    task = task_of(batch)._replace(**outputs, stance=stance)
     inverse_to(load_scene(batch.scene), task, batch.out, say)

@@ -1,6 +1,7 @@
-"""A result of inverse dynamics: its metadata, its check, and how far it is off measured efforts.
+"""A result of inverse dynamics: its metadata, its check, and its error against measured efforts.
 
-The metadata and the check are the same whether a motion is read as a whole or piece by piece.
+Metadata and check are the same for a motion that is read at once and for one that is read piece by
+piece.
 """
 
 import math
@@ -22,11 +23,12 @@ from mbd_ros.scene.built_scene import Scene
 
 
 def result_metadata(scene: Scene, task: Task, topics: Mapping[str, object]) -> dict[str, Any]:
-    """Metadata of a result of inverse dynamics.
+    """Return the metadata of a result of inverse dynamics.
 
     Args:
-        task: What was asked for.
-        topics: Topics of a bag that open chains or loops fill; those of the causes are added.
+        scene: The scene.
+        task: The motion, and what was computed.
+        topics: Topics of a bag for open chains or loops; those of the causes are added.
     """
     source, cutoff, half_width = task.derivatives
     inputs = {
@@ -47,21 +49,21 @@ def result_metadata(scene: Scene, task: Task, topics: Mapping[str, object]) -> d
 
 
 def check_finite(where: str, table: Table) -> None:
-    """Refuse efforts and multipliers that are not."""
+    """Refuse efforts and multipliers that are not finite."""
     kinds = ("position", "velocity", "acceleration", TIME, "stamp")
-    found = [v for name, v in table.items() if name.rpartition(".")[2] not in kinds]
-    bad = [int(np.flatnonzero(~np.isfinite(v))[0]) for v in found if not np.isfinite(v).all()]
+    forces = [v for name, v in table.items() if name.rpartition(".")[2] not in kinds]
+    bad = [int(np.flatnonzero(~np.isfinite(v))[0]) for v in forces if not np.isfinite(v).all()]
     if bad:
         raise DataError(f"{where}: torques at {table[TIME][min(bad)]} s are not finite")
 
 
 def effort_residual(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
-    """How far torques are off the measured ones, where the motion has measured efforts.
+    """Yield a line about the error of torques against measured efforts, if there are any.
 
     Args:
-        motion: With the measured efforts; joints without are left out.
-        table: With the torques.
-        cutoff: Of the low-pass of each of the first joints of the motion [Hz].
+        motion: Motion with measured efforts; joints without efforts are ignored.
+        table: Table with the torques.
+        cutoff: Cutoff of the low-pass filter for each of the first joints of the motion [Hz].
     """
     effort = motion.effort
     if effort is None or table.rows != len(motion.stamps):
@@ -72,39 +74,40 @@ def effort_residual(motion: Motion, table: Table, cutoff: Array) -> Iterator[str
     if not pairs:
         return
     tau = [*(effort[:, j] for j, _ in pairs), *(table[name] for _, name in pairs)]
-    own = cutoff[[j for j, _ in pairs]]
-    yield from residual_of_rows(Windows(motion.stamps, cutoff), np.column_stack(tau), own)
+    cutoffs = cutoff[[j for j, _ in pairs]]
+    windows = Windows(motion.stamps, cutoff)
+    yield from residual_of_rows(windows, np.column_stack(tau), cutoffs)
 
 
 def measured_columns(
     joints: Sequence[str], columns: Sequence[str], measured: NDArray[np.bool_]
 ) -> list[tuple[int, str]]:
-    """Joints whose effort is measured, by their place, and the columns of their torque."""
+    """Return the indices of joints with measured efforts, and the columns of their torques."""
     efforts = {name.removesuffix(".effort"): name for name in columns if name.endswith(".effort")}
-    found = [(joints.index(joint), name) for joint, name in efforts.items() if joint in joints]
-    return [(j, name) for j, name in found if measured[j]]
+    pairs = [(joints.index(joint), name) for joint, name in efforts.items() if joint in joints]
+    return [(j, name) for j, name in pairs if measured[j]]
 
 
 def residual_of_rows(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
-    """The norm of (torque - measured effort) over that of the efforts, where those are not 0.
+    """Yield a line with the norm of (torque - measured effort) over that of the efforts.
 
-    Both are behind the low-pass of the motion.
+    Both pass the low-pass filter of the motion. There is no line if all efforts are 0.
 
     Args:
-        windows: Of all stamps and the cut-offs.
+        windows: Windows of all stamps and cutoffs.
         tau: Measured efforts, then torques, of the same m joints, shape (n, 2 m).
-        cutoff: Of the low-pass of each joint [Hz], shape (m,).
+        cutoff: Cutoff of the low-pass filter of each joint [Hz], shape (m,).
     """
     total, off = 0.0, 0.0
     for passed, step in low_passed(windows, tau, np.tile(cutoff, 2)):
-        known, found = np.split(passed, 2, axis=1)
-        unit = max(np.abs(known).max(initial=0.0), np.abs(found).max(initial=0.0))
+        known, computed = np.split(passed, 2, axis=1)
+        unit = max(np.abs(known).max(initial=0.0), np.abs(computed).max(initial=0.0))
         if not np.isfinite(unit):
             return
         if unit > 0.0:  # squares may overflow
-            known, found, weight = known / unit, found / unit, unit * math.sqrt(step)
+            known, computed, weight = known / unit, computed / unit, unit * math.sqrt(step)
             total = math.hypot(total, weight * math.sqrt(np.square(known).sum()))
-            off = math.hypot(off, weight * math.sqrt(np.square(found - known).sum()))
+            off = math.hypot(off, weight * math.sqrt(np.square(computed - known).sum()))
     if total > 0.0 and math.isfinite(off):
         yield (
             f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "

@@ -1,7 +1,7 @@
-"""Loads on a body over time, a slot each that stays the same, and the instants that matter.
+"""Loads on a body over time, one slot for each load, and the instants of their peaks.
 
-They are written in metres or in millimetres; forces are newtons and times seconds in both systems
-of units.
+Lengths are in metres or millimetres; forces are in newtons and times in seconds in both systems of
+units.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ class History(NamedTuple):
     """Loads on a body over time, in axes of its link and SI units.
 
     Attributes:
+        body: Link that names the body.
         links: All links of the body.
-        joints: Where it is cut.
+        joints: Joints at which it is cut.
         inertia: `pinocchio.Inertia` in the axes of the link.
         stamps: Times [ns], shape (n,).
-        point: Where they act [m], shape (n, slots, 3).
-        force: [N], shape (n, slots, 3).
-        moment: About the points [N·m], shape (n, slots, 3).
+        slots: The loads.
+        point: Points of action [m], shape (n, slots, 3).
+        force: Forces [N], shape (n, slots, 3).
+        moment: Moments about the points [N·m], shape (n, slots, 3).
         motion: Gravity, acceleration, angular velocity and acceleration, shape (n, 3) each.
     """
 
@@ -47,15 +49,15 @@ class History(NamedTuple):
     motion: BodyMotion
 
     def time(self, row: int) -> float:
-        """Of a sample [s]."""
+        """Return the time of a sample [s]."""
         return float(self.stamps[row] * NANOSECOND)
 
     def motion_at(self, row: int) -> BodyMotion:
-        """Of one sample."""
+        """Return the motion at one sample."""
         return BodyMotion(*(values[row] for values in self.motion))
 
     def balance(self) -> Balance:
-        """What is left of the equations of the body in every sample."""
+        """Return the residual force and moment of the equations of the body in every sample."""
         return balances(self.point, self.force, self.moment, self.inertia, self.motion)
 
 
@@ -63,8 +65,8 @@ class Slot(NamedTuple):
     """A load on the body.
 
     Attributes:
-        name: Of the joint or part; numbered where a part acts at several points.
-        kind: As of a `BodyLoad`.
+        name: Name of the joint or part, numbered if a part acts at several points.
+        kind: Kind of the load, as in `BodyLoad`.
     """
 
     name: str
@@ -74,33 +76,33 @@ class Slot(NamedTuple):
 def in_slots(
     samples: Sequence[Sequence[BodyLoad]],
 ) -> tuple[tuple[Slot, ...], Array, Array, Array]:
-    """Loads of samples in slots; a path that lets go of a point exerts nothing there.
+    """Sort the loads of samples into slots; a path that leaves a point exerts nothing there.
 
     Args:
-        samples: The loads of each sample; those of a part stand in the order of its points.
+        samples: Loads of each sample; those of a part are in the order of its points.
 
     Returns:
-        Slots, points, forces and moments, as of a `History`.
+        Slots, points, forces and moments of a `History`.
     """
     parts = [_by_part(loads) for loads in samples]
-    whole: dict[tuple[str, str], list[BodyLoad]] = {}
+    complete: dict[tuple[str, str], list[BodyLoad]] = {}
     for part in parts:
         for key, loads in part.items():
-            if len(loads) > len(whole.get(key, ())):
-                whole[key] = loads
-    ends = list(itertools.accumulate(map(len, whole.values()), initial=0))
-    begin = dict(zip(whole, ends[:-1], strict=True))
+            if len(loads) > len(complete.get(key, ())):
+                complete[key] = loads
+    ends = list(itertools.accumulate(map(len, complete.values()), initial=0))
+    begin = dict(zip(complete, ends[:-1], strict=True))
     slots = tuple(
         Slot(f"{name}_{i + 1}" if len(loads) > 1 else name, kind)
-        for (name, kind), loads in whole.items()
+        for (name, kind), loads in complete.items()
         for i in range(len(loads))
     )
-    at = np.array([load.point for loads in whole.values() for load in loads]).reshape(-1, 3)
+    at = np.array([load.point for loads in complete.values() for load in loads]).reshape(-1, 3)
     point = np.tile(at, (len(samples), 1, 1))
     force, moment = np.zeros((2, *point.shape))
     for row, part in enumerate(parts):
         for key, loads in part.items():
-            for place, load in zip(_places(loads, whole[key]), loads, strict=True):
+            for place, load in zip(_places(loads, complete[key]), loads, strict=True):
                 slot = begin[key] + place
                 point[row, slot], force[row, slot], moment[row, slot] = load[2:]
     return slots, point, force, moment
@@ -113,26 +115,26 @@ def _by_part(loads: Sequence[BodyLoad]) -> dict[tuple[str, str], list[BodyLoad]]
     return parts
 
 
-def _places(loads: Sequence[BodyLoad], whole: Sequence[BodyLoad]) -> Sequence[int]:
-    """Which of all points of a part those of a sample are: the nearest ones, in their order."""
-    if len(loads) == len(whole):
+def _places(loads: Sequence[BodyLoad], complete: Sequence[BodyLoad]) -> Sequence[int]:
+    """Match the points of a sample to those of a part: the nearest ones, in their order."""
+    if len(loads) == len(complete):
         return range(len(loads))
     return min(
-        itertools.combinations(range(len(whole)), len(loads)),
+        itertools.combinations(range(len(complete)), len(loads)),
         key=lambda places: sum(
-            float(np.linalg.norm(load.point - whole[i].point))
+            float(np.linalg.norm(load.point - complete[i].point))
             for i, load in zip(places, loads, strict=True)
         ),
     )
 
 
 class Instant(NamedTuple):
-    """A sample that is marked.
+    """A marked sample.
 
     Attributes:
-        row: Of the history.
-        name: `<load>.force` or `<load>.torque` of a peak, or `chosen`.
-        value: Of the peak [N or N·m], 0 where it was chosen.
+        row: Row of the history.
+        name: `<load>.force` or `<load>.torque` for a peak, or `chosen`.
+        value: Value of the peak [N or N·m]; 0 for a chosen instant.
     """
 
     row: int
@@ -141,39 +143,40 @@ class Instant(NamedTuple):
 
 
 def instants_of(history: History, chosen: Sequence[float]) -> list[Instant]:
-    """Peaks of force and moment of every load, and chosen instants, in the order of time.
+    """Find the peaks of force and moment of every load, and add chosen instants, sorted by time.
 
     Args:
-        chosen: Times [s]; the nearest sample is taken.
+        chosen: Times [s], which are rounded to the nearest sample.
 
     Raises:
-        DataError: A time outside of the history.
+        DataError: A time is outside of the history.
     """
-    found = [Instant(_row(history, time), CHOSEN, 0.0) for time in chosen]
+    instants = [Instant(_row(history, time), CHOSEN, 0.0) for time in chosen]
     for quantity, values in (("force", history.force), ("torque", history.moment)):
         sizes: Array = np.linalg.norm(values, axis=2)
         least = _NOTHING * sizes.max(initial=0.0)
         for slot, size in zip(history.slots, sizes.T, strict=True):
             row = int(size.argmax())
             if size[row] > least:
-                found.append(Instant(row, f"{slot.name}.{quantity}", float(size[row])))
-    return sorted(found, key=lambda each: (each.row, each.name))
+                instants.append(Instant(row, f"{slot.name}.{quantity}", float(size[row])))
+    return sorted(instants, key=lambda each: (each.row, each.name))
 
 
 def _row(history: History, time: float) -> int:
     times = history.stamps * NANOSECOND
     if not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
         raise DataError(
-            f"--at {time:g}: outside of the motion, accepted: {times[0]:.9g} to {times[-1]:.9g} s"
+            f"--at {time:g}: is outside of the motion, accepted: {times[0]:.9g} to "
+            f"{times[-1]:.9g} s"
         )
     return int(np.abs(times - time).argmin())
 
 
 def units_of(name: str) -> Units:
-    """The system of a name.
+    """Return a system of units by its name.
 
     Raises:
-        DataError: There is none.
+        DataError: There is no such system.
     """
     if name not in SYSTEMS:
         raise DataError(f"--units {name}: accepted: m (N, m, kg, s, Pa) and mm (N, mm, t, s, MPa)")
@@ -184,10 +187,10 @@ class Units(NamedTuple):
     """A consistent system of units.
 
     Attributes:
-        name: Of its length.
-        per_metre: Its lengths in a metre.
-        mass: Of its masses.
-        stress: Of its stresses.
+        name: Unit of length.
+        per_metre: Number of these lengths in a metre.
+        mass: Unit of mass.
+        stress: Unit of stress.
     """
 
     name: str
@@ -197,12 +200,12 @@ class Units(NamedTuple):
 
     @property
     def moment(self) -> str:
-        """Of its moments."""
+        """Unit of moment."""
         return f"N·{self.name}"
 
     @property
     def acceleration(self) -> str:
-        """Of its accelerations."""
+        """Unit of acceleration."""
         return f"{self.name}/s^2"
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from mbd_ros.features.loads.free_body import (
     ActingWrenches,
     BodyLoad,
     BodyMotion,
+    BodyWrench,
     FreeBody,
-    Named,
     inertial_load,
 )
 from mbd_ros.features.loads.history import History, Instant, Units, in_slots, instants_of, units_of
@@ -32,7 +32,7 @@ from mbd_ros.files.table import (
 )
 from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.inverse_solution import Solved, solve_motion
 from mbd_ros.motion.recordings import Source, metadata_of, name_of, refuse_huge
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 _QUANTITIES = "tension", "force"  # as `simulate` and `muscles` call it
 INSTANTS = "instants"
-_OFF = 1.0e-9  # share of the largest load that rounding leaves
+_ROUNDING = 1.0e-9  # accepted residual force, as a share of the largest load
 MESHED = ".inp", ".feb", ".vtu"
 
 
@@ -57,7 +57,7 @@ def loads(
     joints: Sequence[str] = (),
     muscle_forces: Source | None = None,
     at: Sequence[float] = (),
-    units: str = "m",
+    units: Literal["m", "mm"] = "m",
     derivatives: str = "given",
     cutoff: float | None = None,
     half_width: int | None = None,
@@ -73,30 +73,19 @@ def loads(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Loads on one body of a scene in a motion, in axes of its link.
+    """Compute the loads on one body of a scene in a motion, in axes of its link.
+
+    Arguments that are not listed here have the meaning of those of `inverse`.
 
     Args:
-        motion: As for `inverse`, and so are all arguments that are not named here.
-        body: Link; what fixed joints tie to it belongs to the body.
-        joints: Fixed joints at which the body ends; those that move need no mention.
-        muscle_forces: Result or table with columns `<muscle>.force` or `.tension`; by default
-            those of the motion, where it has some.
-        at: Instants that are marked beside the peaks [s].
+        scene: The scene.
+        motion: Result, file or bag with the positions of its joints.
+        body: Link whose loads are computed, with all links that fixed joints tie to it.
+        joints: Fixed joints at which the body ends, besides the joints that move.
+        muscle_forces: Result or table with columns `<muscle>.force` or `<muscle>.tension` [N]. By
+            default these are columns of the motion.
+        at: Instants to mark beside the peaks [s].
         units: `m`, or `mm` for lengths in mm, moments in N·mm and masses in tonnes.
-        derivatives: As for `inverse`.
-        cutoff: As for `inverse`.
-        half_width: As for `inverse`.
-        wrenches: As for `inverse`.
-        external: As for `inverse`.
-        time_range: As for `inverse`.
-        wrench_axes: As for `inverse`.
-        topic: As for `inverse`.
-        bounds: As for `inverse`.
-        stance: As for `inverse`.
-        stance_gap: As for `inverse`.
-        stance_speed: As for `inverse`.
-        say: As for `inverse`.
-        progress: As for `inverse`.
 
     Returns:
         Table `samples`: `time`, `is_instant`; `<load>.force_x`, `.torque_x`, `.point_x` of joints,
@@ -106,36 +95,42 @@ def loads(
         `.off`. Table `instants`: peaks and chosen times.
 
     Raises:
-        DataError: Something cannot be read or does not fit the scene.
-        SceneError: Unknown body or joint, or a body without mass.
-        SolveError: As of `inverse`, or loads that do not balance.
+        DataError: A file cannot be read or does not fit the scene.
+        SceneError: The body or a joint is unknown, or the body has no mass.
+        SolveError: A sample cannot be solved, or the loads do not explain the motion of the body.
     """
     remarks: list[str] = []
-    asked = stance_of(stance, stance_gap, stance_speed)
-    given = Derivatives(derivatives, cutoff, half_width)
     with watching(progress):
-        file = None if external is None else File(external)
-        more: dict[str, Any] = {"wrench_axes": wrench_axes, "stance": asked}
-        more |= {"bounds": bounds, "external": file, "time_range": time_range}
-        task = Task(motion, given, wrenches, topic, **more)
-        wanted = LoadsTask(task, body, joints, muscle_forces, at, units)
-        result = run_loads(scene, wanted, say or remarks.append)[0]
+        recorded = Task(
+            motion,
+            Derivatives(derivatives, cutoff, half_width),
+            wrenches,
+            topic,
+            bounds=bounds,
+            external=None if external is None else File(external),
+            time_range=time_range,
+            stance=stance_of(stance, stance_gap, stance_speed),
+            wrench_axes=wrench_axes,
+        )
+        task = LoadsTask(recorded, body, joints, muscle_forces, at, units)
+        result = run_loads(scene, task, say or remarks.append)[0]
     if say is None:
         result.metadata["remarks"] = remarks
     return result
 
 
 class LoadsTask(NamedTuple):
-    """What is asked for.
+    """A recorded motion, and the body whose loads are computed.
 
     Attributes:
-        motion: As inverse dynamics takes it.
-        body: Link whose loads are wanted.
-        joints: Fixed joints at which the body ends.
-        muscle_forces: Table of tensions; None for those of the motion.
-        at: Chosen instants [s].
-        units: m or mm, see `units`.
-        mesh: What takes the loads, for .inp, .feb and .vtu.
+        motion: The motion, as inverse dynamics takes it.
+        body: Link whose loads are computed, with all links that fixed joints tie to it.
+        joints: Fixed joints at which the body ends, besides the joints that move.
+        muscle_forces: Table with `<muscle>.force` or `<muscle>.tension` [N]. By default these are
+            columns of the motion.
+        at: Instants to mark beside the peaks [s].
+        units: m: N, m, kg, s and Pa. mm: N, mm, t, s and MPa.
+        mesh: Solid that takes the loads; needed for .inp, .feb and .vtu.
     """
 
     motion: Task
@@ -143,7 +138,7 @@ class LoadsTask(NamedTuple):
     joints: Sequence[str] = ()
     muscle_forces: Source | None = None
     at: Sequence[float] = ()
-    units: str = "m"
+    units: Literal["m", "mm"] = "m"
     mesh: "MeshTask | None" = None
 
 
@@ -155,7 +150,7 @@ def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History,
     except ModelError as error:
         raise SceneError(f"{scene.name}: {error}") from error
     solved = solve_motion(scene, task.motion, say)
-    for text in solved.way.remarks:
+    for text in solved.solution.remarks:
         say(text)
     history = _history(body, solved, task, say)
     _check(history, name_of(task.motion.motion), say)
@@ -173,70 +168,72 @@ def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History,
 def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> History:
     paths, stamps = commanded_paths(solved.scene), solved.observed.samples.stamps
     tensions = tensions_at(paths, task.motion.motion, task.muscle_forces, stamps, say)
-    explained, scene = solved.way.explained, solved.scene
+    explained, scene = solved.solution.explained, solved.scene
     measured = {n: w for n, w in scene.wrenches.items() if n not in solved.contacts}
-    acting = ActingWrenches(explained.rows, scene.acting, measured, paths)
+    body_wrenches = ActingWrenches(explained.rows, scene.forces_without_input, measured, paths)
     places = [i for i, name in enumerate(scene.wrenches) if name in measured]
     samples: list[list[BodyLoad]] = []
     motions: list[BodyMotion] = []
-    touching = list(_touching(solved))
+    contacts = list(_known_contacts(solved))
     for row, (x, a, exerted) in enumerate(
         progress(explained.motions(), explained.count, "loads on the body")
     ):
         body.k.refresh(x.q, x.v)
         values = [solved.wrenches[i][row] for i in places]
-        found = list(acting.at(body.k, x, exerted.multipliers, values, tensions[row].tolist()))
-        found += [named for forces, of in touching for named in of(body, x, forces[row])]
-        one, motion = body.loads(x, a, found)
-        samples.append(one)
+        tension = tensions[row].tolist()
+        wrenches = list(body_wrenches.at(body.k, x, exerted.multipliers, values, tension))
+        wrenches += [wrench for forces, of in contacts for wrench in of(body, x, forces[row])]
+        loads, motion = body.loads(x, a, wrenches)
+        samples.append(loads)
         motions.append(motion)
     motion = BodyMotion(*(np.array(each) for each in zip(*motions, strict=True)))
     about = body.link, body.links, body.joints, body.inertia, stamps
     return History(*about, *in_slots(samples), motion)
 
 
-def _touching(solved: Solved) -> Iterator[tuple[Array, Any]]:
-    """Forces of known contacts, and what they exert on bodies."""
+def _known_contacts(solved: Solved) -> Iterator[tuple[Array, Any]]:
+    """Yield the forces of known contacts, with functions that give their wrenches on bodies."""
     if not solved.known:
         return
-    from mbd_ros.motion.known_contacts import forces_at  # only where something touches
+    from mbd_ros.motion.known_contacts import forces_at  # only for motions with contacts
 
-    def exerted(one: Any) -> Any:
-        def wrenches(body: FreeBody, x: State, forces: Array) -> list[Named]:
-            return [Named(one.name, CONTACT, w) for w in one.exert(body.k, x, forces)]
+    def wrenches_of(contact: Any) -> Any:
+        def wrenches(body: FreeBody, x: State, forces: Array) -> list[BodyWrench]:
+            return [BodyWrench(contact.name, CONTACT, w) for w in contact.exert(body.k, x, forces)]
 
         return wrenches
 
     observed = solved.observed
-    for one in solved.known:
-        yield forces_at(one, observed.motion, observed.samples.stamps), exerted(one)
+    for contact in solved.known:
+        forces = forces_at(contact, observed.motion, observed.samples.stamps)
+        yield forces, wrenches_of(contact)
 
 
 def _check(history: History, where: str, say: Say) -> None:
-    """Refuse what is not finite or not balanced, and say how well it is."""
+    """Refuse loads that are not finite or do not explain the motion, and report the residual."""
     values = (history.force, history.moment, history.point, *history.motion)
     if not all(np.isfinite(each).all() for each in values):
         raise DataError(f"{where}: loads on {history.body} are not finite")
     off = history.balance().off
     row = int(off.argmax())
     text = f"balance of {history.body}: off by at most {off[row]:.2g} of the largest load"
-    if off[row] > _OFF:
-        raise SolveError(f"{where}: {text}, at {history.time(row):.9g} s; accepted: {_OFF:g}")
+    if off[row] > _ROUNDING:
+        raise SolveError(f"{where}: {text}, at {history.time(row):.9g} s; accepted: {_ROUNDING:g}")
     links, cut = ", ".join(history.links), ", ".join(history.joints)
     say(f"{history.body} ({links}), {history.inertia.mass:.6g} kg, cut at {cut}")
     say(text)
 
 
 def loads_to(scene: Scene, task: LoadsTask, out: File, say: Say) -> None:
-    """Read a motion, write the loads on a body.
+    """Read a motion, and write the loads on a body.
 
     Args:
-        task: What is asked for.
-        out: Its suffix chooses the format.
-        say: Is told what was done and left out, a line each.
+        task: The motion and the body.
+        out: Path whose suffix chooses the format.
+        say: Called with each line for people.
 
     Raises:
-        MbdError: As `loads`, or a place that cannot be written to.
+        MbdError: An error of `loads`, or a file that cannot be written.
     """
     motion = task.motion
     sources = motion.motion, motion.wrenches, motion.external, task.muscle_forces
@@ -257,7 +254,7 @@ def _finite_elements(scene: Scene, task: LoadsTask, out: File, say: Say) -> None
     from mbd_ros.features.loads.fem.finite_elements import body_of, write_body  # for meshes only
 
     if task.mesh is None:
-        raise DataError(f"{out}: --mesh is needed, the solid that takes the loads")
+        raise DataError(f"{out}: --mesh is missing, the solid that takes the loads")
     if not out.parent.is_dir():
         raise DataError(f"{out}: directory {out.parent} does not exist")
     _, history, instants = run_loads(scene, task, say)
@@ -267,17 +264,17 @@ def _finite_elements(scene: Scene, task: LoadsTask, out: File, say: Say) -> None
 
 
 def tables_of(history: History, instants: Sequence[Instant], units: Units) -> dict[str, Table]:
-    """Table `samples` with all loads, and table `instants` with the marked ones."""
+    """Return table `samples` with all loads, and table `instants` with the marked ones."""
     marked = np.zeros(len(history.stamps))
     marked[[each.row for each in instants]] = 1.0
     columns = [*time_columns(history.stamps), Column("is_instant", marked)]
     columns += _load_columns(history, units)
     columns += _inertial_columns(history, units)
     balance = history.balance()
-    left, turning = (np.linalg.norm(each, axis=1) for each in balance[:2])
+    force, moment = (np.linalg.norm(each, axis=1) for each in balance[:2])
     columns += [
-        Column("balance.force", left, "N"),
-        Column("balance.torque", turning * units.per_metre, units.moment),
+        Column("balance.force", force, "N"),
+        Column("balance.torque", moment * units.per_metre, units.moment),
         Column("balance.off", balance.off),
     ]
     return {MAIN: Table(columns), INSTANTS: _instants(history, instants, units)}
@@ -295,7 +292,7 @@ def _load_columns(history: History, units: Units) -> list[Column]:
 
 
 def _inertial_columns(history: History, units: Units) -> list[Column]:
-    """Motion of the body, and what weight and inertia exert on it about its mass centre."""
+    """Return columns of the motion of the body, and of weight and inertial forces."""
     body, L, (gravity, push, spin, turn) = history.body, units.per_metre, history.motion
     force, moment = inertial_load(history.inertia, history.motion)
     weight = history.inertia.mass * gravity
@@ -332,7 +329,7 @@ def _vectors(name: str, values: Array, unit: str, frame: str) -> list[Column]:
 
 
 def about_body(history: History, units: Units) -> dict[str, Any]:
-    """What the metadata of the result says of the body, in its units."""
+    """Return the metadata that describe the body, in its units."""
     inertia, L = history.inertia, units.per_metre
     mass = float(inertia.mass) * (1.0 if units.mass == "kg" else 1e-3)
     per_mass = mass / float(inertia.mass)
@@ -349,51 +346,54 @@ def about_body(history: History, units: Units) -> dict[str, Any]:
 
 
 def commanded_paths(scene: Scene) -> dict[str, Path]:
-    """Paths of muscles and of other parts whose tension a motion does not show."""
-    known = {id(part) for part in scene.acting}
+    """Return the paths of muscles and other parts whose tension a motion does not determine."""
+    known = {id(part) for part in scene.forces_without_input}
     every = (*scene.commanded, *scene.forces)
-    return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
+    return {p.name: p.path for p in every if p.path is not None and id(p) not in known}
 
 
 def tensions_at(
     paths: Mapping[str, Path],
     motion: Source,
-    given: Source | None,
+    muscle_forces: Source | None,
     stamps: NDArray[np.int64],
     say: Say,
 ) -> Array:
-    """Tensions at the samples of a motion [N], shape (n, paths).
+    """Read the tensions at the samples of a motion [N], shape (n, paths).
 
     Args:
-        paths: By name of the part that pulls.
-        motion: May carry them, in columns `<part>.tension` or `<part>.force`.
-        given: Table with such columns, linear between its rows; None for those of the motion.
-        stamps: Of the samples [ns], shape (n,).
-        say: Is told whose are taken as 0.
+        paths: Paths by the name of the part that pulls.
+        motion: The motion, which may have columns `<part>.tension` or `<part>.force`.
+        muscle_forces: Table with such columns, linear between its rows; None for those of the
+            motion.
+        stamps: Times of the samples [ns], shape (n,).
+        say: Called with a line about tensions that are taken as 0.
 
     Raises:
-        DataError: A table that has none of them, or does not cover the motion.
+        DataError: The table has none of the columns, or does not cover the motion.
     """
-    found = np.zeros((len(stamps), len(paths)))
-    source = motion if given is None else given
+    tensions = np.zeros((len(stamps), len(paths)))
+    source = motion if muscle_forces is None else muscle_forces
     table = _table(source)
     columns = {} if table is None else _columns(name_of(source), table, paths)
-    if given is not None and not columns:
-        wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
-        raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
+    if muscle_forces is not None and not columns:
+        accepted = join_names([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
+        raise DataError(
+            f"--muscle-forces {name_of(muscle_forces)}: no column {accepted or 'is needed'}"
+        )
     if table is not None and columns:
         at = motion_stamps(table, name_of(source))
         if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
             covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]])
-            asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
-            raise DataError(f"{name_of(source)}: tensions at {covered} s do not cover {asked} s")
+            needed = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+            raise DataError(f"{name_of(source)}: tensions at {covered} s do not cover {needed} s")
         since, times = (at - at[0]) * NANOSECOND, (stamps - at[0]) * NANOSECOND
         for i, name in enumerate(paths):
             if name in columns:
-                found[:, i] = np.interp(times, since, columns[name])
-    if lacking := [name for name in paths if name not in columns]:
-        say(f"tensions of {listed(lacking)} are taken as 0; --muscle-forces gives them")
-    return found
+                tensions[:, i] = np.interp(times, since, columns[name])
+    if missing := [name for name in paths if name not in columns]:
+        say(f"tensions of {join_names(missing)} are taken as 0; --muscle-forces gives them")
+    return tensions
 
 
 def _table(source: Source) -> Table | None:
@@ -403,14 +403,14 @@ def _table(source: Source) -> Table | None:
 
 
 def _columns(where: str, table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
-    found = {}
+    by_name = {}
     for name in paths:
         for quantity in _QUANTITIES:
             column = f"{name}.{quantity}"
-            if name not in found and column in table:
+            if name not in by_name and column in table:
                 values = np.asarray(table[column], dtype=np.float64)
                 if not np.isfinite(values).all():
                     raise DataError(f"{where}: column {column} has gaps")
                 refuse_huge(where, [column], values)
-                found[name] = values
-    return found
+                by_name[name] = values
+    return by_name

@@ -1,51 +1,51 @@
-"""Words of `mbd-ros kinematics`."""
+"""The command `mbd-ros kinematics`: joint positions from recorded markers."""
 
 import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_options
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
+_JOB = "mbd_ros.features.markers.job:kinematics"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `kinematics` understands."""
+    """Declare the arguments of `kinematics`."""
     add_scene(parser)
-    parser.add_argument("markers", type=path_word, help="recorded markers: .trc, .c3d, .csv, ..")
+    parser.add_argument(
+        "markers", type=path_word, help="Recorded markers: .trc, .c3d, CSV, .npz or .parquet."
+    )
     parser.add_argument(
         "task",
         type=path_word,
         nargs="?",
-        help="task file with a section kinematics, or a set-up of OpenSim's inverse kinematics",
+        help="Task file with a section kinematics, or a setup file of OpenSim's inverse "
+        "kinematics (.xml).",
     )
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="motion: .mot, CSV, .. (required)"
+        "-o",
+        "--out",
+        type=path_word,
+        required=True,
+        help="Motion as .mot, CSV, .npz or .parquet (required).",
     )
     parser.add_argument(
-        "--residuals", type=path_word, help="also write objective and distances of markers"
+        "--residuals",
+        type=path_word,
+        help="Also write the objective and the distances of the markers into this table.",
     )
-    parser.add_argument("--begin", type=float, help="first time in s (default: of the task)")
-    parser.add_argument("--end", type=float, help="last time in s (default: of the task)")
+    add_options(parser, _JOB, "begin", "end", "unit", "axes", "smoothness")
     parser.add_argument(
-        "--unit", choices=("m", "mm", "cm"), help="of the markers (default: of the file)"
-    )
-    parser.add_argument(
-        "--axes",
-        help="recorded axis along each axis of the scene, as x,z,-y, or screen: as the .c3d says "
-        "by X_SCREEN, Y_SCREEN (default: x,y,z)",
-    )
-    parser.add_argument(
-        "--smoothness",
-        type=float,
-        help="error of markers over error of accelerations in m s^2/rad: fits the whole trial",
-    )
-    parser.add_argument(
-        "--no-limits", action="store_true", help="joints may pass the limits of the description"
+        "--no-limits",
+        action="store_true",
+        help="Let joints pass the limits of their description.",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Fit the motion, write it and return the exit code."""
     from mbd_ros.features.markers.job import kinematics_to
     from mbd_ros.features.markers.marker_kinematics import NO_TASK
     from mbd_ros.scene.reader import load_scene

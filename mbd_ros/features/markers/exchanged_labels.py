@@ -43,26 +43,28 @@ class Exchange(NamedTuple):
 
 
 def exchanged_labels(solver: MarkerFit, fit: Fit, seen: Seen) -> list[Exchange]:
-    """Exchanges that lower the objective by much, in several frames in a row.
+    """Find exchanges of two labels that lower the objective much in several successive frames.
 
     Args:
-        fit: The frames as they are labelled.
+        solver: Solver of the frames.
+        fit: Fit of the frames with their labels.
+        seen: Measured markers.
     """
-    found = []
+    exchanges = []
     for pair, frames in _probed(solver, fit, seen):
         again = _fitted_again(solver, fit, seen, frames, [pair] * len(frames))
         is_better = again.objective < _BETTER * fit.objective[frames]
         for run in _runs(frames[is_better]):
-            kept = np.isin(frames, run)
-            before, after = fit.objective[run].mean(), again.objective[kept].mean()
+            in_run = np.isin(frames, run)
+            before, after = fit.objective[run].mean(), again.objective[in_run].mean()
             if after < _CONFIRMED * before:
                 ends = int(run[0]), int(run[-1])
-                found.append(Exchange(*pair, ends, float(before), float(after)))
-    return _without_copies(found)
+                exchanges.append(Exchange(*pair, ends, float(before), float(after)))
+    return _without_copies(exchanges)
 
 
 def _probed(solver: MarkerFit, fit: Fit, seen: Seen) -> list[tuple[Pair, Indices]]:
-    """Suspected pairs that fit better exchanged in some of their frames."""
+    """Return suspected pairs that fit better when exchanged in some of their frames."""
     suspects = _suspects(solver, fit, seen)
     if not suspects:
         return []
@@ -70,26 +72,30 @@ def _probed(solver: MarkerFit, fit: Fit, seen: Seen) -> list[tuple[Pair, Indices
     frames, pairs = np.concatenate(some), [pair for pair, _ in suspects for _ in range(_PROBES)]
     again = _fitted_again(solver, fit, seen, frames, pairs)
     is_better: Bools = (again.objective < _BETTER * fit.objective[frames]).reshape(-1, _PROBES)
-    return [one for one, better in zip(suspects, is_better.tolist(), strict=True) if any(better)]
+    return [
+        suspect
+        for suspect, better in zip(suspects, is_better.tolist(), strict=True)
+        if any(better)
+    ]
 
 
 def _fitted_again(
     solver: MarkerFit, fit: Fit, seen: Seen, frames: Indices, pairs: Sequence[Pair]
 ) -> Fit:
-    """Some frames with a pair exchanged in each."""
+    """Fit some frames again, with a pair of labels exchanged in each."""
     part, at = seen.of(frames), np.arange(len(frames))[:, None]
     these = np.array(pairs)
     places = part.places.copy()
     places[at, these] = part.places[at, these[:, ::-1]]
     part = part._replace(places=places)
-    own = solver.fit(fit.q[frames], part, far=True)
+    from_fit = solver.fit(fit.q[frames], part, far=True)
     usual = _usual(solver, fit, seen)[frames]  # an exchange may have turned a whole link
     other = solver.fit(usual, part, far=True)
-    return chosen(own, other, other.objective < own.objective)
+    return chosen(from_fit, other, other.objective < from_fit.objective)
 
 
 def _suspects(solver: MarkerFit, fit: Fit, seen: Seen) -> list[tuple[Pair, Indices]]:
-    """Pairs that should fit better exchanged, best first, and the frames."""
+    """Return pairs that should fit better when exchanged, best first, and their frames."""
     n = fit.misses.shape[1]
     if n < 2:
         return []
@@ -158,21 +164,21 @@ def _usual(solver: MarkerFit, fit: Fit, seen: Seen) -> Array:
 
 
 def _runs(frames: Indices) -> list[Indices]:
-    """Runs of frames that follow one another, without short ones."""
+    """Return runs of successive frames, without short ones."""
     parts = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
     return [part for part in parts if len(part) >= _SHORTEST]
 
 
-def _without_copies(found: list[Exchange]) -> list[Exchange]:
-    """Of exchanges that share a marker at the same time, the one that leaves least."""
-    kept: list[Exchange] = []
-    for one in sorted(found, key=lambda each: each.after / each.before):
+def _without_copies(exchanges: list[Exchange]) -> list[Exchange]:
+    """Among simultaneous exchanges that share a marker, keep the one that reduces most."""
+    distinct: list[Exchange] = []
+    for exchange in sorted(exchanges, key=lambda each: each.after / each.before):
         clash = any(
-            {one.first, one.second} & {other.first, other.second}
-            and one.frames[0] <= other.frames[1]
-            and other.frames[0] <= one.frames[1]
-            for other in kept
+            {exchange.first, exchange.second} & {other.first, other.second}
+            and exchange.frames[0] <= other.frames[1]
+            and other.frames[0] <= exchange.frames[1]
+            for other in distinct
         )
         if not clash:
-            kept.append(one)
-    return sorted(kept, key=lambda each: each.frames)
+            distinct.append(exchange)
+    return sorted(distinct, key=lambda each: each.frames)

@@ -1,4 +1,4 @@
-"""The `kinematics` section of a task file: what a fit of markers is asked for."""
+"""The `kinematics` section of a task file: how joint positions are fitted to markers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,14 +15,14 @@ from mbd_ros.scene.schema.locate import find_file
 
 @dataclass(frozen=True)
 class CoordinateTask:
-    """A joint that should be near a position.
+    """A joint whose position shall be near a value.
 
     Attributes:
-        weight: Of the square of its distance [m^2/rad^2], beside the mean square of markers: a
-            sum of marker weights times more than its number says.
-        value: Position [rad or m]; None for that of a recorded motion where there is one, else
-            for that of the start.
-        from_motion: Whether it follows a recorded motion.
+        weight: Weight of the squared distance [m^2/rad^2]. It stands beside the weighted mean of
+            the squared marker distances, not beside their sum.
+        value: Position [rad or m]; None for that of the recorded motion, or without one for that
+            of the start.
+        from_motion: Whether the joint follows the recorded motion.
     """
 
     weight: Annotated[NotNegative, Unit("m^2/rad^2")]
@@ -32,19 +32,22 @@ class CoordinateTask:
 
 @dataclass(frozen=True)
 class KinematicsTask:
-    """What a fit of markers is asked for.
+    """How joint positions are fitted to recorded markers, as a task file describes it.
 
     Attributes:
-        markers: Label -> weight, of no other markers than these; None for those of the sensors.
-        coordinates: Joint -> its task.
-        begin: First time [s].
-        end: Last time [s].
-        smoothness: See `features.markers.marker_trial`; 0 fits frames alone.
+        markers: Weights by label; markers without one are left out. None takes the weights of
+            the sensors.
+        coordinates: Tasks by joint: a weight, or `weight`, `value` and `from_motion`.
+        begin: First time [s]; None for the start of the recording.
+        end: Last time [s]; None for its end.
+        smoothness: Ratio of the error of markers to the error of accelerations [m s^2/rad]; 0
+            fits every frame by itself.
         limits: Whether joints keep their limits.
-        unit: Of the recorded places; None for that of the file.
-        axes: Recorded axis along each axis of the scene, as `x,z,-y`, or `screen`; None: the same.
-        motion: File of the positions that coordinate tasks follow.
-        source: The file, for messages; empty without one.
+        unit: Unit of the recorded markers; None for that of the file.
+        axes: Recorded axis along each axis of the scene, such as `x,z,-y`, or `screen`; None if
+            the axes are the same.
+        motion: File with the positions that coordinate tasks follow.
+        source: The task file, for messages; empty without one.
     """
 
     markers: Mapping[str, float] | None = None
@@ -59,21 +62,21 @@ class KinematicsTask:
     source: str = ""
 
 
-def build_task(site: Site, given: Any) -> KinematicsTask:
-    """The `kinematics` section of a task file.
+def build_task(site: Site, entry: Any) -> KinematicsTask:
+    """Build the `kinematics` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
-    task: KinematicsTask = schema.call(_task, given, site.where, site)
+    task: KinematicsTask = schema.call(task_of_keys, entry, site.where, site)
     return task
 
 
 def refuse_unknown_joints(scene: Scene, names: Mapping[str, Any], where: str) -> None:
-    """Refuse tasks for joints that the scene does not move.
+    """Refuse tasks for joints that the scene does not have.
 
     Raises:
-        SceneError: Names the joint and what there is.
+        SceneError: A name is not that of a joint; the message lists the joints.
     """
     for name in names:
         try:
@@ -82,7 +85,7 @@ def refuse_unknown_joints(scene: Scene, names: Mapping[str, Any], where: str) ->
             raise SceneError(f"{where}: {error}") from error
 
 
-def _task(
+def task_of_keys(
     site: Site,
     *,
     markers: Mapping[str, NotNegative] | None = None,
@@ -95,6 +98,7 @@ def _task(
     axes: str | None = None,
     motion: str | None = None,
 ) -> KinematicsTask:
+    """Build a task; the keyword arguments are the keys of the section `kinematics`."""
     file = None
     if motion is not None:
         file = find_file(site.origin.folder, motion, f"{site.where}.motion")
@@ -105,13 +109,23 @@ def _task(
     if site.scene is not None:
         refuse_unknown_joints(site.scene, tasks, f"{site.where}.coordinates")
     if file is None and any(task.from_motion for task in tasks.values()):
-        raise SceneError(f"{site.where}.coordinates: from_motion asks for a key 'motion'")
-    given = markers, tasks, begin, end, smoothness, limits, unit, axes, file
-    return KinematicsTask(*given, source=site.origin.name)
+        raise SceneError(f"{site.where}.motion: is missing; from_motion in coordinates needs it")
+    return KinematicsTask(
+        markers,
+        tasks,
+        begin,
+        end,
+        smoothness,
+        limits,
+        unit,
+        axes,
+        file,
+        source=site.origin.name,
+    )
 
 
 def _coordinate(entry: Any, where: str) -> CoordinateTask:
-    """A weight alone, or a mapping."""
+    """Build a coordinate task from a weight, or from a mapping."""
     if not isinstance(entry, dict):
         return CoordinateTask(schema.value(entry, NotNegative, where))
     task: CoordinateTask = schema.call(CoordinateTask, entry, where)

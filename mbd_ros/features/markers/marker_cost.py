@@ -185,7 +185,7 @@ class MarkerCost:
 
 
 class Seen(NamedTuple):
-    """What was seen in some frames.
+    """Marker positions in some frames.
 
     Attributes:
         places: Markers in the world less `Robot.origin` [m], shape (N, n, 3); anything finite
@@ -224,7 +224,7 @@ class Cost(NamedTuple):
 
 
 def orders(model: pin.Model, carriers: list[int]) -> tuple[Array, Array]:
-    """What coordinates have to do with one another, and with markers.
+    """Dependence of coordinates on one another, and of markers on coordinates.
 
     Returns:
         1 where j stands before k on a chain, 1/2 where both belong to one joint, else 0, shape

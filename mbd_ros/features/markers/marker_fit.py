@@ -260,7 +260,7 @@ class LoopRows:
         return self.names[int(np.argmax(np.abs(self._residual(q, t))))]
 
     def near(self, q: Array, G: Array, slope: Array, times: Array) -> tuple[Array, Array, Array]:
-        """What a quadratic program asks of closed rows.
+        """Conditions of closed rows for a quadratic program.
 
         Args:
             q: Configurations, shape (N, nq).
@@ -325,11 +325,11 @@ class LoopRows:
 
     def _slopes(self, q: Array, G: Array, times: Array) -> Array:
         """dg/dy, shape (N, m, ny)."""
-        found = np.empty((len(q), len(self.names), G.shape[2]))
+        slopes = np.empty((len(q), len(self.names), G.shape[2]))
         for i, (one, t) in enumerate(zip(q, times.tolist(), strict=True)):
             self._k.refresh(one, self._rest, Reads.JACOBIAN)
-            found[i] = self._rows.jacobian(self._k, State(t, one, self._rest)) @ G[i]
-        return found
+            slopes[i] = self._rows.jacobian(self._k, State(t, one, self._rest)) @ G[i]
+        return slopes
 
 
 class Chart(Protocol):

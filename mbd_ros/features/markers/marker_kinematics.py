@@ -83,27 +83,27 @@ class MarkerKinematics:
     def seen(
         self, places: Array, times: Array, targets: Mapping[str, Array] | None = None
     ) -> Seen:
-        """What was seen, as the solver takes it.
+        """Return measured markers as the solver takes them.
 
         Args:
-            places: Markers in the world [m], in the order of `marks`, NaN where one was not seen,
-                shape (N, n, 3); what is more than 10 km away was not seen either.
-            times: [s], shape (N,).
-            targets: Joint of a task -> positions that it asks for [rad or m], shape (N,); 0
-                where a task has none.
+            places: Positions of markers in the world [m], in the order of `marks`, shape
+                (N, n, 3); NaN, or farther than 10 km, if a marker was not seen.
+            times: Times of the frames [s], shape (N,).
+            targets: Target positions of coordinate tasks by joint [rad or m], shape (N,); 0 for
+                a task without any.
         """
         is_seen: Bools = np.array((np.abs(places) < _FARTHEST).all(axis=2))
         weights = np.where(is_seen, self._weights, 0.0)
         total = weights.sum(axis=1, keepdims=True)
         weights = weights / np.where(total > 0.0, total, 1.0)
         where = np.where(is_seen[:, :, None], places - self.robot.origin, 0.0)
-        asked = np.zeros((len(times), self.robot.model.nv))
+        wanted = np.zeros((len(times), self.robot.model.nv))
         for name, v in zip(self.tasks, self._task_v, strict=True):
-            asked[:, v] = (targets or {}).get(name, 0.0)
-        return Seen(where, weights, asked, times)
+            wanted[:, v] = (targets or {}).get(name, 0.0)
+        return Seen(where, weights, wanted, times)
 
     def trial(self, start: Array, seen: Seen) -> Fit:
-        """Fit all frames of a trial, each from a start that its neighbours give.
+        """Fit all frames of a trial, each from the solution of a neighbour.
 
         Args:
             start: Default configuration, shape (nq,).
@@ -114,17 +114,17 @@ class MarkerKinematics:
         return fit_trial(self.solver, self.robot, start, seen)
 
     def first(self, start: Array, seen: Seen) -> Fit:
-        """Fit one frame from several starts; arguments and errors as for `trial`."""
+        """Fit one frame from several starts; arguments and errors are those of `trial`."""
         return first_frame(self.solver, self.robot, start, seen)
 
 
 class Mark(NamedTuple):
-    """A marker as marker kinematics takes it.
+    """A marker of the scene.
 
     Attributes:
-        label: What recordings call it.
-        point: Where it is on the robot.
-        weight: Of its squared distance, > 0.
+        label: Label in recordings.
+        point: Point on the robot.
+        weight: Weight of the squared distance, > 0.
     """
 
     label: str
@@ -135,39 +135,40 @@ class Mark(NamedTuple):
 def live_solver(
     scene: Scene, task: str, *, limits: bool = True
 ) -> tuple[MarkerKinematics, dict[str, Array]]:
-    """A solver for all markers of a scene, and the positions that coordinate tasks ask for.
+    """Return a solver for all markers of a scene, and the targets of coordinate tasks.
 
     Args:
-        task: File of a task; empty for the weights of the scene.
-        limits: Whether joints keep their limits; a task may say no, too.
+        scene: The scene.
+        task: Task file; empty for the weights of the scene.
+        limits: Whether joints keep their limits, unless the task lets them pass.
 
     Raises:
-        SceneError: A task that cannot be read, or that follows a recorded motion.
-        DataError: The scene has no marker that weighs something.
+        SceneError: The task cannot be read, or follows a recorded motion.
+        DataError: The scene has no marker with a weight above 0.
     """
-    asked = read_tasks(scene, task) if task else NO_TASK
-    asked = replace(asked, limits=limits and asked.limits)
-    following = [name for name, one in asked.coordinates.items() if one.from_motion]
+    order = read_tasks(scene, task) if task else NO_TASK
+    order = replace(order, limits=limits and order.limits)
+    following = [name for name, each in order.coordinates.items() if each.from_motion]
     if following:
         raise SceneError(f"{task}: {following[0]} follows a recorded motion, which is not live")
     markers = markers_of(scene)
-    weights = weights_of(markers, asked)
+    weights = weights_of(markers, order)
     marks = [Mark(m.title, m.point, weights[m.title]) for m in markers if weights[m.title] > 0.0]
     if not marks:
-        raise DataError(f"{task or scene.name}: no marker of the scene weighs anything")
-    solver = solver_of(scene, marks, asked, scene.name)
-    return solver, targets_of(scene, asked, np.zeros(1))
+        raise DataError(f"{task or scene.name}: no marker of the scene has a weight above 0")
+    solver = solver_of(scene, marks, order, scene.name)
+    return solver, targets_of(scene, order, np.zeros(1))
 
 
 def solver_of(
     scene: Scene, marks: Sequence[Mark], task: KinematicsTask, where: str
 ) -> MarkerKinematics:
-    """The solver of a task.
+    """Return the solver of a task.
 
     Raises:
-        DataError: There is nothing to fit; names `where`.
+        DataError: There is no marker and no coordinate task.
     """
-    weights = {name: one.weight for name, one in _tasks(scene, task).items() if one.weight}
+    weights = {n: each.weight for n, each in _tasks(scene, task).items() if each.weight}
     parts = scene.robot, scene.couplings, marks
     options = {"constraints": scene.constraints, "tasks": weights, "limits": task.limits}
     try:
@@ -177,27 +178,28 @@ def solver_of(
 
 
 def read_tasks(scene: Scene, task: KinematicsTask | str | Path) -> KinematicsTask:
-    """The task of a file, by its ending, or as it is.
+    """Read a task file or a setup file of OpenSim; return a task as it is.
 
     Raises:
-        SceneError: Names file, key or element, and what is accepted.
+        SceneError: The file is not accepted; the message names file, key or element, and what is
+            accepted.
     """
     if isinstance(task, KinematicsTask):
         return task
     if str(task).lower().endswith((".xml", ".xml.gz")):
         from mbd_ros.features.markers.osim_setup import read_setup
 
-        found = read_setup(Path(task))
-        moving = {n: t for n, t in found.coordinates.items() if n not in scene.robot.locked}
+        setup = read_setup(Path(task))
+        moving = {n: t for n, t in setup.coordinates.items() if n not in scene.robot.locked}
         refuse_unknown_joints(scene, moving, str(task))
-        return found
+        return setup
     from mbd_ros.scene.task_reader import read_task
 
     parts = read_task(task, scene).parts
     if "kinematics" not in parts:
-        raise SceneError(f"{task}: no section 'kinematics'")
-    asked: KinematicsTask = parts["kinematics"]
-    return asked
+        raise SceneError(f"{task}: has no section 'kinematics'")
+    read: KinematicsTask = parts["kinematics"]
+    return read
 
 
 def targets_of(scene: Scene, task: KinematicsTask, times: Array) -> dict[str, Array]:
@@ -207,12 +209,14 @@ def targets_of(scene: Scene, task: KinematicsTask, times: Array) -> dict[str, Ar
         DataError: A recorded motion lacks the joint, or some of the times.
     """
     targets = {}
-    for name, one in _tasks(scene, task).items():
-        if one.from_motion and task.motion is not None:
+    for name, coordinate_task in _tasks(scene, task).items():
+        if coordinate_task.from_motion and task.motion is not None:
             targets[name] = _recorded(task.motion, name, times)
         else:
             start = float(scene.initial.q[scene.robot.joint(name).q])
-            targets[name] = np.full(len(times), start if one.value is None else one.value)
+            targets[name] = np.full(
+                len(times), start if coordinate_task.value is None else coordinate_task.value
+            )
     return targets
 
 

@@ -58,38 +58,41 @@ def fit_trial(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
 
 
 def first_frame(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
-    """The best configuration of one frame from several starts, the default pose first.
+    """Fit one frame from several starts, the default configuration first.
 
     Args:
+        fit: Solver of the frames.
+        robot: The robot.
         start: Default configuration, shape (nq,).
+        seen: Measured markers of the frame.
     """
-    own = fit.fit(start[None], seen, far=True)
-    if own.objective[0] <= _GOOD:
-        return own
+    default = fit.fit(start[None], seen, far=True)
+    if default.objective[0] <= _GOOD:
+        return default
     starts = _others(fit, robot, start)
     frames = np.zeros(len(starts), dtype=np.intp)
-    found = fit.fit(np.array(starts), seen.of(frames), far=True, steps=_STEPS)
-    best = int(np.argmin(found.objective))
-    if not found.objective[best] < _BETTER * own.objective[0]:
-        return own
-    return fit.fit(_unwound(fit, robot, found.q[best : best + 1]), seen)
+    fits = fit.fit(np.array(starts), seen.of(frames), far=True, steps=_STEPS)
+    best = int(np.argmin(fits.objective))
+    if not fits.objective[best] < _BETTER * default.objective[0]:
+        return default
+    return fit.fit(_unwound(fit, robot, fits.q[best : best + 1]), seen)
 
 
 def of_frames(fit: Fit, frames: Frames) -> Fit:
-    """Some frames of a fit."""
+    """Return some frames of a fit."""
     return Fit(*(each[frames] for each in fit))  # type: ignore[arg-type]
 
 
 def _others(fit: MarkerFit, robot: Robot, start: Array) -> Sequence[Array]:
-    """Starts all over the range of joints and the turns of free bodies."""
+    """Return random starts in the ranges of joints and with random rotations of free bodies."""
     rng, others = np.random.default_rng(_SEED), []
     cost = fit.cost
-    shown = set(cost.couplings.v_index[cost.reached > 0.0].tolist())
+    observed = set(cost.couplings.v_index[cost.reached > 0.0].tolist())
     for _ in range(_STARTS):
         q = start.copy()
         for joint in robot.joints:
             low, high = _range(joint, start[joint.q])
-            if joint.v in shown:
+            if joint.v in observed:
                 q[joint.q] = rng.uniform(low, high)
         for base in robot.bases:
             turn = rng.normal(size=4)
@@ -99,7 +102,7 @@ def _others(fit: MarkerFit, robot: Robot, start: Array) -> Sequence[Array]:
 
 
 def _range(joint: Joint, at: float) -> tuple[float, float]:
-    """Where starts of a joint lie: its limits within a turn, where it slides freely nowhere."""
+    """Return the range of starts of a joint: its limits within a turn, for free slides none."""
     if joint.kind == "prismatic":
         reach = 0.0 if not np.isfinite(joint.upper - joint.lower) else 0.1
     else:
@@ -152,28 +155,28 @@ def _smooth(known: Array, q: Array, times: Array) -> Array:
     return np.array(q[at] + s * (change + (1.0 - s) * bend))
 
 
-def _continued(fit: MarkerFit, start: Array, found: Fit, seen: Seen) -> Fit:
-    """The fit, with frames that are far from the one before sought again from there."""
+def _continued(fit: MarkerFit, start: Array, trial: Fit, seen: Seen) -> Fit:
+    """Fit frames that are far from the previous one again, starting from that one."""
     reach = np.maximum(_JUMP, _FASTEST * np.diff(seen.times, prepend=seen.times[0]))
-    moved = np.abs(np.diff(found.q, axis=0, prepend=start[None])).max(axis=1, initial=0.0)
+    moved = np.abs(np.diff(trial.q, axis=0, prepend=start[None])).max(axis=1, initial=0.0)
     far = np.flatnonzero(moved > reach)
     if not len(far):
-        return found
+        return trial
     before, frames = start, []
-    for i in range(int(far[0]), len(found.q)):
-        before = found.q[i - 1] if i == far[0] and i else before
-        one = of_frames(found, slice(i, i + 1))
-        if np.abs(one.q[0] - before).max() > reach[i]:
+    for i in range(int(far[0]), len(trial.q)):
+        before = trial.q[i - 1] if i == far[0] and i else before
+        frame = of_frames(trial, slice(i, i + 1))
+        if np.abs(frame.q[0] - before).max() > reach[i]:
             again = fit.fit(before[None], seen.of(slice(i, i + 1)))
-            if again.objective[0] < one.objective[0]:
-                one = again
-                frames.append((i, one))
-        before = one.q[0]
+            if again.objective[0] < frame.objective[0]:
+                frame = again
+                frames.append((i, frame))
+        before = frame.q[0]
     parts, last = [], 0
-    for i, one in frames:
-        parts += [of_frames(found, slice(last, i)), one]
+    for i, frame in frames:
+        parts += [of_frames(trial, slice(last, i)), frame]
         last = i + 1
-    return joined([part for part in (*parts, of_frames(found, slice(last, None))) if len(part.q)])
+    return joined([part for part in (*parts, of_frames(trial, slice(last, None))) if len(part.q)])
 
 
 def _quaternion(base: Base) -> slice:
@@ -264,14 +267,14 @@ class _Band:
             slope[i : len(a) + i] += self._s2 * c[:, None] * a
         return slope
 
-    def step(self, at: Cost, slope: Array, held: Bools) -> Array:
+    def step(self, at: Cost, slope: Array, fixed: Bools) -> Array:
         """Newton's step; coordinates that are held do not move, shape (N, n)."""
         from scipy.linalg import solveh_banded  # here: only who asks for smoothness loads it
 
         N, n = slope.shape
         size, width = N * n, 2 * n
         flat = np.zeros((width + 1, size))  # lower form: flat[i - j, j]
-        free = ~held.ravel()
+        free = ~fixed.ravel()
         blocks = at.hessian
         for i in range(n):
             for j in range(i + 1):

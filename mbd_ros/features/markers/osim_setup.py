@@ -1,7 +1,7 @@
-"""Set-up files of OpenSim's inverse kinematics -> a task of marker kinematics.
+"""Setup files of OpenSim's inverse kinematics, read as a task of marker kinematics.
 
-Weights of markers and coordinates, the range of times and the file of coordinates are read; the
-model, accuracies and places of results are those of the command.
+Weights of markers and coordinates, the range of times and the file of coordinates are read. Model,
+accuracies and files of results come from the command.
 """
 
 from pathlib import Path
@@ -16,15 +16,18 @@ _NO_FILE = ("", "Unassigned")
 
 
 def read_setup(path: Path) -> KinematicsTask:
-    """The tasks of a set-up.
+    """Read the tasks of a setup file.
 
     Raises:
-        SceneError: Not well-formed, or no tasks of inverse kinematics; names file and element.
+        SceneError: The file is not well-formed or has no tasks of inverse kinematics; the message
+            names file and element.
     """
     root = parse_document(read_text(path), str(path))
     tasks = next(root.iter("IKTaskSet"), None)
     if tasks is None:
-        raise SceneError(f"{path}: no <IKTaskSet>: no set-up of inverse kinematics")
+        raise SceneError(
+            f"{path}: has no <IKTaskSet>, so it is no setup file of inverse kinematics"
+        )
     markers = {
         name: _number(path, task, "weight", 1.0)
         for task in tasks.iter("IKMarkerTask")
@@ -66,13 +69,13 @@ def _coordinate(path: Path, task: ElementTree.Element) -> CoordinateTask:
 
 
 def _range(path: Path, root: ElementTree.Element) -> tuple[float | None, float | None]:
-    words = _text(root, "time_range").split()
-    if not words:
+    times = _text(root, "time_range").split()
+    if not times:
         return None, None
     try:
-        begin, end = (float(word) for word in words)
+        begin, end = (float(time) for time in times)
     except ValueError as error:
-        raise SceneError(f"{path}: <time_range> must be two numbers: {words}") from error
+        raise SceneError(f"{path}: <time_range> must be two numbers: {times}") from error
     return (None if begin == -float("inf") else begin), (None if end == float("inf") else end)
 
 
@@ -84,13 +87,13 @@ def _number(path: Path, task: ElementTree.Element, key: str, default: float) -> 
         number = -1.0 if key == "weight" else float("nan")
     if not abs(number) < float("inf") or (key == "weight" and number < 0.0):
         raise SceneError(
-            f"{path}: <{task.tag} name='{task.get('name')}'>: {key} '{text}' is no "
-            "number that is accepted"
+            f"{path}: <{task.tag} name='{task.get('name')}'>: {key} '{text}' is not "
+            "accepted; expected a finite number, for a weight at least 0"
         )
     return number
 
 
 def _text(element: ElementTree.Element, key: str, default: str = "") -> str:
-    found = next(element.iter(key), None)
-    text = (found.text or "").strip() if found is not None else ""
+    child = next(element.iter(key), None)
+    text = (child.text or "").strip() if child is not None else ""
     return text or default

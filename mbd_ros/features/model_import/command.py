@@ -1,4 +1,4 @@
-"""Commands `mbd-ros import-opensim` and `import-mjcf`: a model as a description and a scene."""
+"""The commands `mbd-ros import-opensim` and `import-mjcf`: a model as a URDF and a scene."""
 
 import argparse
 from pathlib import Path
@@ -10,20 +10,23 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that both understand."""
-    parser.add_argument("model", type=path_word, help="MODEL.osim, MODEL.osim.gz or MODEL.xml")
+    """Declare the arguments of both commands."""
+    parser.add_argument(
+        "model", type=path_word, help="Model of OpenSim (.osim, .osim.gz) or of MuJoCo (.xml)."
+    )
     parser.add_argument(
         "-o",
         "--output",
         type=path_word,
         default=Path(),
         metavar="DIR",
-        help="folder for <name>.urdf, <name>.yaml and <name>.left_out.txt; default: this one",
+        help="Folder for <name>.urdf, <name>.yaml and <name>.left_out.txt. By default it is the "
+        "current folder.",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the files and say what was left out; the exit code."""
+    """Write the files, print what they leave out of the model, and return the exit code."""
     from mbd_ros.features.model_import.job import import_opensim
 
     with about(arguments.model):

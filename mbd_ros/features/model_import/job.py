@@ -1,4 +1,4 @@
-"""A model of OpenSim or MuJoCo -> a description, a scene, and a list of what they leave out."""
+"""Conversion of a model of OpenSim or MuJoCo to a URDF, a scene and a list of omissions."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,14 +21,15 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
     """Write <name>.urdf, <name>.yaml and <name>.left_out.txt; all of them, or none.
 
     Args:
-        model: The file; one that is no MJCF by its name is read as a model of OpenSim.
-        folder: Where they are written; made where it is missing.
+        model: File of the model; it is read as a model of OpenSim unless its name is that of an
+            MJCF.
+        folder: Folder of the files, which is created if it is missing.
 
     Yields:
-        What was written and left out, a line each.
+        Lines about the files and about omissions.
 
     Raises:
-        SceneError: The model cannot be read: names file and element.
+        SceneError: The model cannot be read; the message names file and element.
         DataError: The files cannot be written.
     """
     imported = import_model(model, format_of(model) or "osim", {})
@@ -36,7 +37,7 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
     sections, absent = brought_sections(imported)
     lines = [*absent, *map(str, imported.left_out)]
     text = scene_text(imported, f"{name}.urdf", sections, model.name)
-    build_scene(Origin(description=imported.urdf), _checked(text, folder / f"{name}.yaml"))
+    build_scene(Origin(description=imported.urdf), _entries_of(text, folder / f"{name}.yaml"))
     files = {
         f"{name}.urdf": imported.urdf,
         f"{name}.yaml": text,
@@ -48,11 +49,12 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
 
 
 def scene_text(imported: Imported, urdf: str, sections: Mapping[str, Any], source: str) -> str:
-    """The scene as YAML.
+    """Return the scene as YAML.
 
     Args:
-        urdf: File of the description, beside the scene.
-        sections: Those that the scene has.
+        imported: The converted model.
+        urdf: File of the description, in the folder of the scene.
+        sections: Sections of the scene.
         source: File of the model.
     """
     entries = {"robot": {"urdf": urdf, **imported.robot}, **sections}
@@ -62,8 +64,8 @@ def scene_text(imported: Imported, urdf: str, sections: Mapping[str, Any], sourc
     return comment_line(f"{imported.name}, from {source}.") + text
 
 
-def _checked(text: str, path: Path) -> dict[str, Any]:
-    """The entries of the text as a reader gets them, the description apart."""
+def _entries_of(text: str, path: Path) -> dict[str, Any]:
+    """Return the entries of a scene as its reader gets them, without the description."""
     entries = mapping_of(text, str(path))
     del entries["robot"]["urdf"]
     return entries

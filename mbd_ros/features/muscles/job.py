@@ -39,12 +39,12 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names
 from mbd_ros.scene.reader import load_scene
 
-OPTIMUM = "muscles"  # stands before the names of what is said of a whole frame
+OPTIMUM = "muscles"  # prefix of columns that describe a frame as a whole
 _AXES = [(kind, axis) for kind in ("force", "moment") for axis in "xyz"]
 _UNITS = {"force": "N", "moment": "N·m"}
-_SHOWN = 5  # frames, coordinates or parts that a line names
-_LACKING = 1.0e-6  # of the largest need: what counts as lacking
-_CHUNK = 256  # frames between two signs of progress
+_MOST_NAMED = 5  # frames, coordinates or parts that a line names
+_RESIDUAL = 1.0e-6  # of the largest force: a residual force that is reported
+_CHUNK = 256  # frames between two updates of the progress
 
 
 def muscles(
@@ -63,36 +63,37 @@ def muscles(
     progress: Watch = False,
     **options: Any,
 ) -> Result:
-    """Activations and forces of the muscles of a scene in a motion, and loads of joints.
+    """Compute activations and forces of the muscles of a scene in a motion, and joint loads.
 
     Args:
         scene: A scene with muscles, without loops.
         motion: Result, file or bag with the positions of its joints.
         derivatives: given, causal, zero-phase or opensim.
-        cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
-        half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
-        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        cutoff: Half-power frequency of the filters [Hz]; None for the default of the filter.
+        half_width: Samples on either side of a local zero-phase fit, in place of a cutoff.
+        wrenches: Result, file or bag of the external loads. A bag that holds the motion holds its
+            loads, too.
         external: External loads of OpenSim (.xml), in place of those of the scene.
-        time_range: First and last time that is solved [s]; derivatives come from the whole motion.
-        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, as `x,z,-y`, or
-            `screen` where a .c3d says them.
+        time_range: First and last time that is solved [s]. Derivatives still come from the whole
+            motion.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, such as `x,z,-y`;
+            `screen` takes them from a .c3d.
         topic: JointState topic of a bag.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
-        **options: Keys of the section `muscles` of a task file: objective, exponent, passive,
-            reserves, residuals, rise, fall, emg, emg_use, emg_weight, reactions, links,
-            by_muscle, dynamics, interval, degree, tolerance.
+        **options: Keys of the section `muscles` of a task file, which are the keyword arguments
+            of `mbd_ros.features.muscles.task.task_of_keys`.
 
     Returns:
-        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.effort` (what the motion
-        needs), `.lacking`; `<muscle>.activation`, `.force`, `.max_force`, `.length`, `.speed`;
-        `<reserve>.force`; `muscles.objective`, `.residual`, `.null_space`, `.is_unique`,
-        `.is_feasible`; perhaps `<link>.load.force_x` and `<link>.<muscle>.force_x`, ..
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.effort` (the force that the
+        motion needs), `.lacking` (its part that nothing can exert); `<muscle>.activation`,
+        `.force`, `.max_force`, `.length`, `.speed`; `<reserve>.force`; `muscles.objective`,
+        `.residual`, `.null_space`, `.is_unique`, `.is_feasible`. With reactions also
+        `<link>.load.force_x` and so on, by muscle `<link>.<muscle>.force_x`.
 
     Raises:
-        DataError: Something cannot be read or does not fit the scene.
-        SolveError: A frame that cannot be solved, by its time.
+        DataError: A file cannot be read or does not fit the scene.
+        SolveError: A frame cannot be solved; the message names its time.
     """
     remarks: list[str] = []
     with watching(progress):
@@ -100,65 +101,65 @@ def muscles(
         chosen = Derivatives(derivatives, cutoff, half_width)
         more: dict[str, Any] = {"time_range": time_range, "wrench_axes": wrench_axes}
         task = Task(motion, chosen, wrenches, topic, external=loads, **more)
-        asked = muscles_task(scene, options, "muscles")
-        result = run_muscles(scene, task, asked, options, say or remarks.append)
+        order = muscles_task(scene, options, "muscles")
+        result = run_muscles(scene, task, order, options, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
     return result
 
 
 def muscles_to(
-    scene: Scene, task: Task, asked: MusclesTask, options: Mapping[str, Any], out: Path, say: Say
+    scene: Scene, task: Task, order: MusclesTask, options: Mapping[str, Any], out: Path, say: Say
 ) -> None:
-    """Read a motion, write what muscles do in it.
+    """Read a motion, and write the forces of muscles in it.
 
     Args:
         task: The motion, as inverse dynamics takes it.
-        asked: What is asked of the muscles.
-        options: The same as it was given, for the metadata.
-        out: Its suffix chooses the format.
-        say: Is told what was done and left out, a line each.
+        order: How muscles share the forces, and which loads are computed.
+        options: The keys that `order` was built from, for the metadata.
+        out: Path whose suffix chooses the format.
+        say: Called with each line for people.
     """
-    files = task.motion, task.wrenches, task.external, asked.emg
+    files = task.motion, task.wrenches, task.external, order.emg
     refuse_overwriting(out, *(source for source in files if isinstance(source, Path)))
     check_place(out)
-    result = run_muscles(scene, task, asked, options, say)
+    result = run_muscles(scene, task, order, options, say)
     result.to(out)
     source = result.metadata["inputs"]["derivatives"]
     say(f"{result[MAIN].rows} frames, {source} derivatives -> {out}")
 
 
 def run_muscles(
-    scene: Scene, task: Task, asked: MusclesTask, options: Mapping[str, Any], say: Say
+    scene: Scene, task: Task, order: MusclesTask, options: Mapping[str, Any], say: Say
 ) -> Result:
-    """Do the task of `muscles`."""
+    """Return the result of `muscles` for a task."""
     external = loads_of_laboratory(scene, task)
     if external is not None:
         scene = external.scene
         for text in external.remarks:
             say(text)
-    for text in scene.robot.doubts:
+    for text in scene.robot.inertia_warnings:
         say(f"warning: {text}")
-    solver = asked.solver(scene)
+    solver = order.solver(scene)
     observed = observe_motion(scene, task, say, external)
     samples, wrenches = observed.samples, observed.wrenches
-    emg = measured_activations(asked.emg, solver.muscles, samples.stamps)
+    emg = measured_activations(order.emg, solver.muscles, samples.stamps)
     chunks, motions = [], []
     for shares in _shares(solver, samples, wrenches, emg):
         chunks.append(shares)
         motions.append([values.T for values in solver.motion])
     motion = [np.concatenate(each) for each in zip(*motions, strict=True)]
-    lasting: list[Column] = []
-    if asked.dynamics is not None:
-        shared = _over_time(solver, asked, observed, joined(chunks))
-        chunks, lasting = [shared.shares], trial_columns(solver, shared)
+    trial_values: list[Column] = []
+    if order.dynamics is not None:
+        shared = _over_time(solver, order, observed, joined(chunks))
+        chunks, trial_values = [shared.shares], trial_columns(solver, shared)
         for text in shared.remarks:
             say(text)
-    columns = [*share_columns(solver, samples, chunks), *lasting]
-    joint_loads = asked.loads(scene)
+    columns = [*share_columns(solver, samples, chunks), *trial_values]
+    joint_loads = order.loads(scene)
     if joint_loads is not None:
-        found = list(_loads(joint_loads, motion, wrenches, chunks))
-        columns += load_columns(joint_loads, asked, solver.muscles, found)
+        frame_loads = list(_loads(joint_loads, motion, wrenches, chunks))
+        columns += load_columns(joint_loads, order, solver.muscles, frame_loads)
     for text in summary(solver, samples, chunks):
         say(text)
     table = Table([*time_columns(samples.stamps), *columns])
@@ -170,14 +171,14 @@ def run_muscles(
 def measured_activations(
     path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
 ) -> Array | None:
-    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
+    """Interpolate measured activations at the frames; NaN for a muscle without a column.
 
     Args:
-        path: A table; None where nothing was measured.
-        stamps: Of the frames [ns], shape (frames,).
+        path: Table with columns `<muscle>.activation`; None without measurements.
+        stamps: Times of the frames [ns], shape (frames,).
 
     Raises:
-        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
+        DataError: The file cannot be read, has a column of no muscle, values outside 0 .. 1, or
             does not cover the motion.
     """
     if path is None:
@@ -186,13 +187,15 @@ def measured_activations(
     known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.activation" in table]
     if not known:
         names = ", ".join(f"{muscle.name}.activation" for muscle in muscles)
-        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
+        raise DataError(f"{path}: has no column of a muscle, accepted: {names}")
     at = motion_stamps(table, str(path))
     if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
         covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
-        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
-        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
-    found = np.full((len(stamps), len(muscles)), np.nan)
+        needed = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+        raise DataError(
+            f"{path}: activations at {covered} s do not cover the motion at {needed} s"
+        )
+    activations = np.full((len(stamps), len(muscles)), np.nan)
     for i in known:
         values = table[f"{muscles[i].name}.activation"]
         outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
@@ -202,14 +205,16 @@ def measured_activations(
                 f"{path}: {muscles[i].name}.activation at {at[row] * NANOSECOND:.6g} s is "
                 f"{values[row]:.6g}, accepted: 0 .. 1"
             )
-        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
-    return found
+        activations[:, i] = np.interp(
+            (stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values
+        )
+    return activations
 
 
 def _shares(
     solver: StaticOptimization, samples: Observations, wrenches: list[Array], emg: Array | None
 ) -> Iterator[Shares]:
-    """Shares of frames, some at a time."""
+    """Yield the shares of the frames, `_CHUNK` frames at a time."""
     count = len(samples.stamps)
     times = (samples.stamps - samples.stamps[0]) * NANOSECOND
     begin = float(samples.stamps[0] * NANOSECOND)
@@ -222,22 +227,22 @@ def _shares(
 
 
 def _over_time(
-    solver: StaticOptimization, asked: MusclesTask, observed: Any, static: Shares
+    solver: StaticOptimization, order: MusclesTask, observed: Any, static: Shares
 ) -> Shared:
-    """The shares with dynamics of muscles."""
-    assert asked.dynamics is not None
+    """Return the shares with dynamics of the muscles."""
+    assert order.dynamics is not None
 
     def measured(stamps: NDArray[np.int64]) -> Array | None:
-        return measured_activations(asked.emg, solver.muscles, stamps)
+        return measured_activations(order.emg, solver.muscles, stamps)
 
     samples, wrenches = observed.samples, observed.wrenches
-    return shared_trial(solver, asked.dynamics, samples, wrenches, static, measured)
+    return shared_trial(solver, order.dynamics, samples, wrenches, static, measured)
 
 
 def _loads(
     joint_loads: JointLoads, motion: list[Array], wrenches: list[Array], chunks: list[Shares]
 ) -> Iterator[tuple[Array, Array]]:
-    """Loads of each frame, of all and by muscle."""
+    """Yield the joint loads of each frame: in total and by muscle."""
     force = np.concatenate([shares.force for shares in chunks])
     reserve = np.concatenate([shares.reserve for shares in chunks])
     rows = zip(*motion, force, reserve, *wrenches, strict=True)
@@ -274,9 +279,9 @@ def _metadata(
 def summary(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> Iterator[str]:
-    """Lines for people on how muscles shared the forces of a motion, some frames each."""
-    criterion, reserves = solver.wishes.criterion, solver.reserves
-    passive = "takes part" if solver.wishes.passive else "is left out"
+    """Yield lines for people about how the muscles share the forces of a motion."""
+    criterion, reserves = solver.sharing.criterion, solver.reserves
+    passive = "takes part" if solver.sharing.passive else "is left out"
     yield (
         f"objective: {criterion.kind}, exponent {criterion.exponent:g}, {len(solver.muscles)} "
         f"muscles and {len(reserves)} reserves; passive force of the fibres {passive}"
@@ -296,24 +301,24 @@ def summary(
 
 
 def together(chunks: Sequence[Shares], field: str) -> Array:
-    """A field of all frames."""
+    """Return a field of the shares of all frames."""
     return np.concatenate([getattr(shares, field) for shares in chunks])
 
 
 def _listed(texts: Sequence[str]) -> str:
-    more = f", .. ({len(texts)})" if len(texts) > _SHOWN else ""
-    return ", ".join(texts[:_SHOWN]) + more
+    more = f", .. ({len(texts)})" if len(texts) > _MOST_NAMED else ""
+    return ", ".join(texts[:_MOST_NAMED]) + more
 
 
 def _reserve_lines(solver: StaticOptimization, chunks: Sequence[Shares]) -> Iterator[str]:
-    """What each reserve exerts, and its share of what its coordinate needs."""
+    """Yield the largest force of each reserve, and its share of the force of its coordinate."""
     forces, needed = together(chunks, "reserve"), together(chunks, "needed")
     at = {int(v): i for i, v in enumerate(solver.known.couplings.v_index)}
     for reserve, force in zip(solver.reserves, forces.T, strict=True):
         line = f"reserve {reserve.name}: at most {np.abs(force).max():.4g} {reserve.unit}"
         if isinstance(reserve, CoordinateReserve):
-            whole = _rms(needed[:, at[reserve.at]])
-            share = 100.0 * _rms(force) / whole if whole > 0.0 else 0.0
+            need = _rms(needed[:, at[reserve.at]])
+            share = 100.0 * _rms(force) / need if need > 0.0 else 0.0
             line += f", {share:.3g} % of what its coordinate needs (rms)"
         yield line
 
@@ -325,20 +330,20 @@ def _rms(values: Array) -> float:
 def _lacking_lines(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> Iterator[str]:
-    """Frames whose forces muscles and reserves cannot produce, and what lacks most."""
-    lacks = np.flatnonzero(~together(chunks, "is_feasible"))
-    if not len(lacks):
+    """Yield warnings about frames that muscles and reserves cannot produce."""
+    short_frames = np.flatnonzero(~together(chunks, "is_feasible"))
+    if not len(short_frames):
         return
     needed, lacking = together(chunks, "needed"), together(chunks, "lacking")
     names = coordinate_names(solver.robot, solver.known.couplings)
-    times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in lacks]
+    times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in short_frames]
     yield (
-        f"warning: {len(lacks)} of {len(needed)} frames need more than muscles and reserves can "
-        f"give, at {_listed(times)} s"
+        f"warning: {len(short_frames)} of {len(needed)} frames need more than muscles "
+        f"and reserves can give, at {_listed(times)} s"
     )
     most = np.abs(lacking).max(axis=0)
     order = np.argsort(-most)
-    scale = _LACKING * np.abs(needed).max(initial=0.0)
+    scale = _RESIDUAL * np.abs(needed).max(initial=0.0)
     texts = []
     for i in (i for i in order if most[i] > scale):
         row = int(np.abs(lacking[:, i]).argmax())
@@ -348,55 +353,55 @@ def _lacking_lines(
 
 
 def muscles_batch(batch: Batch, task_file: Path | None, say: Say) -> None:
-    """Do all motions.
+    """Solve all motions of a batch.
 
     Args:
         batch: The motions; its options are keys of the section `muscles` of a task file.
-        task_file: Its section `muscles` says what the options leave out.
-        say: Is told what was done.
+        task_file: Task file with the keys that the options leave out.
+        say: Called with each line for people.
     """
     options = _batch_options(batch.options, task_file, load_scene(batch.scene))
     do_batch(batch._replace(options=options), _muscles_of_batch, muscles_in_worker, say)
 
 
 def _batch_options(
-    given: Mapping[str, Any], task_file: Path | None, scene: Scene
+    options_of_command: Mapping[str, Any], task_file: Path | None, scene: Scene
 ) -> dict[str, Any]:
-    """Options of the command, and else of the task file; checked."""
+    """Return the keys of the task file, replaced by those of the command; all are checked."""
     options: dict[str, Any] = {}
     if task_file is not None:
         from mbd_ros.scene.task_reader import read_task
 
         entry = read_task(task_file, scene).entries.get("muscles")
         if entry is None:
-            raise DataError(f"--task {task_file}: has no section muscles")
+            raise DataError(f"--task {task_file}: has no section 'muscles'")
         options = dict(entry)
         for key in ("emg", "reserves"):  # relative to the task file
             if isinstance(options.get(key), str):
                 options[key] = str((task_file.parent / options[key]).absolute())
-    options |= given
+    options |= options_of_command
     muscles_task(scene, options, "muscles").solver(scene)
     return options
 
 
 def _muscles_of_batch(batch: Batch, say: Say) -> None:
     scene = load_scene(batch.scene)
-    asked = muscles_task(scene, batch.options, "muscles")
-    muscles_to(scene, task_of(batch), asked, batch.options, batch.out, say)
+    order = muscles_task(scene, batch.options, "muscles")
+    muscles_to(scene, task_of(batch), order, batch.options, batch.out, say)
 
 
 def muscles_in_worker(argument: Mapping[str, Any]) -> Outcome:
-    """One motion, in a worker."""
+    """Solve one motion in a worker process."""
     return do_one(argument, _muscles_of_batch)
 
 
 def share_columns(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> list[Column]:
-    """Motion, needed efforts, muscles and reserves.
+    """Return the columns of the motion, of muscles and of reserves.
 
     Args:
-        chunks: Its shares, some frames each.
+        chunks: The shares, some frames each.
     """
     muscles, reserves = solver.muscles, solver.reserves
     columns = _motion(solver, samples, chunks)
@@ -440,7 +445,7 @@ def _motion(
 
 
 def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
-    """Excitations, and lengths of fibres beside elastic tendons."""
+    """Return the columns of excitations, and of fibre lengths beside elastic tendons."""
     pairs = zip(solver.muscles, shared.excitation.T, strict=True)
     columns = [Column(f"{part.name}.excitation", values) for part, values in pairs]
     lengths = shared.fiber_length.items()
@@ -449,26 +454,26 @@ def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
 
 def load_columns(
     loads: JointLoads,
-    asked: MusclesTask,
+    order: MusclesTask,
     muscles: Sequence[Muscle],
-    found: Sequence[tuple[Array, Array]],
+    frame_loads: Sequence[tuple[Array, Array]],
 ) -> list[Column]:
-    """Loads of joints, a row a frame.
+    """Return the columns of joint loads.
 
     Args:
-        loads: What found them.
-        asked: Whose parts are wanted.
-        muscles: In the order of the parts.
-        found: Of each frame the loads of all, and by muscle.
+        loads: Solver of the joint loads.
+        order: Whether the loads of each muscle are columns, too.
+        muscles: Muscles in the order of their loads.
+        frame_loads: Loads of each frame, in total and by muscle.
     """
-    total = np.array([each for each, _ in found])
+    total = np.array([each for each, _ in frame_loads])
     columns: list[Column] = []
-    for row, one in enumerate(loads.joined):
-        frame = {"child": one.link, "parent": one.parent_link, "ground": "world"}[loads.side]
-        columns += _load(f"{one.link}.load", total[:, row], frame)
-        for i, muscle in enumerate(muscles if asked.by_muscle else ()):
-            values = np.array([parts[i, row] for _, parts in found])
-            columns += _load(f"{one.link}.{muscle.name}", values, frame)
+    for row, joint in enumerate(loads.joint_links):
+        frame = {"child": joint.link, "parent": joint.parent_link, "ground": "world"}[loads.side]
+        columns += _load(f"{joint.link}.load", total[:, row], frame)
+        for i, muscle in enumerate(muscles if order.by_muscle else ()):
+            values = np.array([parts[i, row] for _, parts in frame_loads])
+            columns += _load(f"{joint.link}.{muscle.name}", values, frame)
     return columns
 
 
@@ -478,26 +483,26 @@ def _load(name: str, values: Array, frame: str) -> list[Column]:
 
 
 def topics(solver: StaticOptimization) -> dict[str, Any]:
-    """Topics of a bag, see `files.bags.bag_writer`: the same as those of the node."""
+    """Return the topics of a bag, which are those of the node `muscle_forces`."""
     names = [muscle.name for muscle in solver.muscles]
     fields = {"position": "length", "velocity": "speed", "effort": "force"}
     of_muscles = {f: {n: f"{n}.{quantity}" for n in names} for f, quantity in fields.items()}
-    found: dict[str, Any] = {
+    topics_of_result: dict[str, Any] = {
         "/joint_states": {"position": "position", "velocity": "velocity", "effort": "effort"},
         "/muscle_forces": of_muscles,
         "/activations": {"data": [f"{name}.activation" for name in names]},
     }
     if solver.reserves:
         reserves = {part.name: f"{part.name}.force" for part in solver.reserves}
-        found["/reserve_forces"] = {"effort": reserves}
-    return found
+        topics_of_result["/reserve_forces"] = {"effort": reserves}
+    return topics_of_result
 
 
 def joined(chunks: Sequence[Shares]) -> Shares:
-    """Shares of all frames."""
+    """Join the shares of all frames."""
     frames = [shares.frames for shares in chunks]
-    whole = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
+    all_frames = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
     names = [field.name for field in fields(Shares) if field.name not in ("frames", "movable")]
-    movable = tuple(one for shares in chunks for one in shares.movable)
+    movable = tuple(movable_names for shares in chunks for movable_names in shares.movable)
     arrays = {name: together(chunks, name) for name in names}
-    return Shares(frames=whole, movable=movable, **arrays)
+    return Shares(frames=all_frames, movable=movable, **arrays)

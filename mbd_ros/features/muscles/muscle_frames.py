@@ -1,4 +1,4 @@
-"""What muscles and reserves can exert in each of many frames.
+"""Forces that muscles and reserves can exert, in each of many frames.
 
 With the lengths l_i of paths, J_i = dl_i/dq and G of the couplings, a tension F_i exerts
 -G' J_i' F_i on the independent coordinates.
@@ -26,21 +26,21 @@ from mbd_ros.methods.inverse_dynamics.reserves import (
     Reserve,
 )
 
-_FEW_FRAMES = 4  # that cost less one by one, but where a search takes many
+_FEW_FRAMES = 4  # up to which frames cost less one by one, unless paths are searched
 
 
 class MuscleFrames:
-    """Muscles and reserves of a robot.
+    """Forces of the muscles and reserves of a robot on its independent coordinates.
 
-    One instance owns one Pinocchio `Data`: not for two threads.
+    An instance owns one Pinocchio `Data`, so it must not be shared by threads.
 
     Args:
-        couplings: Its dependent joints.
-        muscles: At least one.
-        reserves: What helps them.
-        search: As for `PathBatch`.
-        quick: Makes of robot, Pinocchio data, couplings, paths and number of columns what finds
-            all paths at a state, see `compiled.runs.paths`, or None where it cannot.
+        couplings: Dependent joints of the robot.
+        muscles: At least one muscle.
+        reserves: Reserve actuators that help the muscles.
+        search: Search for wrapping paths in many frames, as `PathBatch` takes it.
+        quick: Factory of native code that evaluates all paths at one state
+            (`compiled.runs.paths`); it returns None for paths that it cannot evaluate.
     """
 
     def __init__(
@@ -79,25 +79,25 @@ class MuscleFrames:
             self._quick.columns[:, len(muscles) :] = self._fixed
 
     def at(self, y: Array, w: Array, q: Array, v: Array, slopes: Slopes) -> Frames:
-        """The frames.
+        """Evaluate muscles and reserves in frames.
 
         Args:
             y: Independent coordinates, shape (frames, ny).
-            w: Their velocities, shape (frames, nv_y).
+            w: Velocities of the independent coordinates, shape (frames, nv_y).
             q: Configurations, shape (nq, frames).
             v: Velocities, shape (nv, frames).
-            slopes: What `Couplings.expand` gave for them.
+            slopes: Slopes of the couplings, from `Couplings.expand`.
         """
         if self._quick is not None and len(y) == 1:
-            found = self._at_once(q[:, 0], v[:, 0], slopes)
-            if found is not None:
-                return self._frames(*found)
+            frame = self._at_once(q[:, 0], v[:, 0], slopes)
+            if frame is not None:
+                return self._frames(*frame)
         if len(y) < self._few:
-            length, speed, arms, helping = self._one_by_one(q, v, slopes)
+            length, speed, arms, reserve_rows = self._one_by_one(q, v, slopes)
         else:
             length, speed, arms = self._batch.evaluate(y, w)
-            helping = self._reserved(q, v, slopes)
-        columns = np.concatenate((arms.transpose(0, 2, 1), helping), axis=2)
+            reserve_rows = self._reserved(q, v, slopes)
+        columns = np.concatenate((arms.transpose(0, 2, 1), reserve_rows), axis=2)
         return self._frames(length, speed, columns)
 
     def _frames(self, length: Array, speed: Array, columns: Array) -> Frames:
@@ -105,54 +105,56 @@ class MuscleFrames:
         return Frames(length, speed, forces.active, forces.passive, forces.fiber_velocity, columns)
 
     def _at_once(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, Array, Array] | None:
-        """Lengths, speeds and columns of one frame; None where a path is not found."""
+        """Return lengths, speeds and columns of one frame; None if a path is not found."""
         self._k.refresh(q, v, self._reads)
         if not self._quick(q, v, slopes):
             return None
         columns = self._quick.columns[None].copy()
         if self._varying:
-            helping = np.array([[r.column(self._k, State(0.0, q, v)) for _, r in self._varying]])
-            columns[:, :, len(self._muscles) :] = self._filled(helping, slopes)
+            reserve_rows = np.array(
+                [[r.column(self._k, State(0.0, q, v)) for _, r in self._varying]]
+            )
+            columns[:, :, len(self._muscles) :] = self._filled(reserve_rows, slopes)
         return self._quick.length[None].copy(), self._quick.speed[None].copy(), columns
 
     def _one_by_one(self, q: Array, v: Array, slopes: Slopes) -> tuple[Array, ...]:
-        """Lengths, speeds, moment arms and columns of reserves of few frames."""
+        """Return lengths, speeds, moment arms and columns of reserves of few frames."""
         count, n = q.shape[1], len(self._muscles)
         length, full = np.empty((count, n)), np.empty((count, n, self._nv))
-        helping = np.empty((count, len(self._varying), self._nv))
+        reserve_rows = np.empty((count, len(self._varying), self._nv))
         for frame, (q_now, v_now) in enumerate(zip(q.T, v.T, strict=True)):
             self._k.refresh(q_now, v_now, self._reads)
             x = State(0.0, q_now, v_now)
             for i, muscle in enumerate(self._muscles):
                 length[frame, i], full[frame, i] = muscle.path.measured(self._k, x)
             for i, (_, reserve) in enumerate(self._varying):
-                helping[frame, i] = reserve.column(self._k, x)
+                reserve_rows[frame, i] = reserve.column(self._k, x)
         speed = np.einsum("tij,jt->ti", full, v)
         arms = -self._reduced(full, slopes)
-        return length, speed, arms, self._filled(helping, slopes)
+        return length, speed, arms, self._filled(reserve_rows, slopes)
 
     def _reserved(self, q: Array, v: Array, slopes: Slopes) -> Array:
-        """Columns of the reserves, shape (frames, nv_y, r)."""
-        helping = np.empty((q.shape[1], len(self._varying), self._nv))
+        """Return the columns of the reserves, shape (frames, nv_y, r)."""
+        reserve_rows = np.empty((q.shape[1], len(self._varying), self._nv))
         for frame, (q_now, v_now) in enumerate(zip(q.T, v.T, strict=True)):
             if not self._varying:
                 break
             self._k.refresh(q_now, v_now, self._reads_of_reserves)
             x = State(0.0, q_now, v_now)
             for i, (_, reserve) in enumerate(self._varying):
-                helping[frame, i] = reserve.column(self._k, x)
-        return self._filled(helping, slopes)
+                reserve_rows[frame, i] = reserve.column(self._k, x)
+        return self._filled(reserve_rows, slopes)
 
-    def _filled(self, helping: Array, slopes: Slopes) -> Array:
-        """Columns of all reserves, from those that change."""
-        columns = np.tile(self._fixed, (len(helping), 1, 1))
+    def _filled(self, reserve_rows: Array, slopes: Slopes) -> Array:
+        """Return the columns of all reserves, given those that vary."""
+        columns = np.tile(self._fixed, (len(reserve_rows), 1, 1))
         if self._varying:
             places = [i for i, _ in self._varying]
-            columns[:, :, places] = self._reduced(helping, slopes).transpose(0, 2, 1)
+            columns[:, :, places] = self._reduced(reserve_rows, slopes).transpose(0, 2, 1)
         return columns
 
     def _reduced(self, full: Array, slopes: Slopes) -> Array:
-        """G' on every row, shape (frames, n, nv_y)."""
+        """Multiply every row by G', shape (frames, n, nv_y)."""
         count, n, nv = full.shape
         every = slopes
         if count > 1:
@@ -162,16 +164,16 @@ class MuscleFrames:
 
 
 class Frames(NamedTuple):
-    """One row a frame.
+    """Muscles and reserves in frames, one row per frame.
 
     Attributes:
-        length: Of the paths [m], shape (frames, n).
-        speed: Their rates [m/s], shape (frames, n).
+        length: Path lengths [m], shape (frames, n).
+        speed: Rates of the path lengths [m/s], shape (frames, n).
         active: Force along the tendon at full activation [N], shape (frames, n).
         passive: Elastic force of the fibres along the tendon [N], shape (frames, n).
-        fiber_speed: Rate of the length of the fibres [m/s], shape (frames, n).
-        columns: Force of the independent coordinates by a tension of 1 N, and by 1 N or N·m of
-            a reserve, shape (frames, nv_y, n + r).
+        fiber_speed: Rate of the fibre lengths [m/s], shape (frames, n).
+        columns: Force on the independent coordinates by a tension of 1 N, and by a reserve of
+            1 N or 1 N·m, shape (frames, nv_y, n + r).
     """
 
     length: Array

@@ -1,8 +1,8 @@
-"""A motion as muscles with dynamics see it, and what they do in it.
+"""A motion with muscle dynamics: its known quantities, and the muscle states that explain it.
 
-A trial is known at the start and at the points of all intervals of a mesh: what muscles and
-reserves can exert there, what the motion needs, and what activations cost. Excitations are
-unknown.
+A trial holds, at the start and at the collocation points of a mesh, the forces that muscles and
+reserves can exert, the forces that the motion needs, and the prices of activations. Excitations
+are unknown.
 """
 
 from collections.abc import Sequence
@@ -15,28 +15,29 @@ from mbd_ros.core.muscles.muscle import FirstOrder, Muscle, SmoothFirstOrder
 from mbd_ros.core.state import Array
 
 ACTIVATION, TENDON = "activation", "tendon"
-DEFAULTS = (0.02, 4, 1.0e-3)  # of all but `kind`
-_CURVES = DeGrooteFreglyCurves(4.0, 0.6, 0.049, 1.0, 0.01)  # of muscles whose own have kinks
+_CURVES = DeGrooteFreglyCurves(4.0, 0.6, 0.049, 1.0, 0.01)  # replace curves with kinks
 _STEEPNESS = 0.1  # of their change from rising to falling activation
 
 
 class Trial(NamedTuple):
-    """What is known at the start and at the points of all intervals, with n muscles, r reserves.
+    """Known quantities at the start and at all points, with n muscles and r reserves.
 
     Attributes:
-        widths: Of the intervals [s], shape (intervals,).
-        length: Of the paths [m], shape (points, n).
-        strength: Change of the tension with the activation beside rigid tendons [N], same shape.
-        offset: Tension there without activation [N], same shape.
-        columns: Force of the independent coordinates by a tension of 1 N and by an effort of 1
-            of a reserve, shape (points, nv_y, n + r).
-        needed: Force that the motion needs of each independent coordinate [N·m or N], shape
+        widths: Widths of the intervals [s], shape (intervals,).
+        length: Path lengths [m], shape (points, n).
+        strength: Change of the tension with the activation beside rigid tendons [N], shape
+            (points, n).
+        offset: Tension without activation beside rigid tendons [N], shape (points, n).
+        columns: Force on the independent coordinates by a tension of 1 N, and by a reserve of
+            effort 1, shape (points, nv_y, n + r).
+        needed: Force that the motion needs at each independent coordinate [N·m or N], shape
             (points, nv_y).
-        sizes: Usual sizes of that force, shape (nv_y,).
-        prices: Of excitations, shape (points, n).
-        stiffness: Price of the squared distance of activations from measured ones, same shape.
-        target: The measured ones, same shape.
-        least: Lower bounds of activations, same shape.
+        sizes: Characteristic sizes of that force, shape (nv_y,).
+        prices: Prices of excitations, shape (points, n).
+        stiffness: Prices of the squared distance of activations from measured ones, shape
+            (points, n).
+        target: Measured activations, shape (points, n).
+        least: Lower bounds of activations, shape (points, n).
         limits: Smallest and largest efforts of the reserves, shape (2, r).
     """
 
@@ -53,30 +54,31 @@ class Trial(NamedTuple):
     least: Array
     limits: Array
 
-    def cost(self, found: "Excited", b: Array, falling: Array, exponent: float) -> float:
-        """What excitations, distances from measured activations, reserves and the start cost.
+    def cost(self, excited: "Excited", b: Array, falling: Array, exponent: float) -> float:
+        """Return the cost of excitations, of distances from measured activations and of reserves.
 
         Args:
-            found: What muscles do.
-            b: Shares of the points in the width of an interval.
-            falling: Time in which activations fall [s], shape (n,).
+            excited: States and inputs of the muscles.
+            b: Weights of the points in the integral over an interval.
+            falling: Time constants of falling activations [s], shape (n,).
+            exponent: Exponent of the cost.
         """
-        p, (a, e, r) = exponent, (values[1:] for values in found[:3])
+        p, (a, e, r) = exponent, (values[1:] for values in excited[:3])
         each = (self.prices[1:] * e**p + self.stiffness[1:] * (a - self.target[1:]) ** 2).sum(1)
         each += (np.abs(r) ** p).sum(axis=1)
-        before = falling @ (self.prices[0] * found.activation[0] ** p)
+        before = falling @ (self.prices[0] * excited.activation[0] ** p)
         return float((self.widths[:, None] * b).ravel() @ each + before)
 
 
 class Excited(NamedTuple):
-    """What muscles do at the start and at the points of a trial, with ne elastic tendons.
+    """States and inputs of muscles at the start and at the points, with ne elastic tendons.
 
     Attributes:
-        activation: Shape (1 + points, n).
-        excitation: The same; at the start, what the activation came from.
-        effort: Of the reserves, shape (1 + points, r).
-        fiber_length: Of fibres beside elastic tendons [m], shape (1 + points, ne).
-        fiber_speed: Its rate per largest speed, shape (1 + points, ne).
+        activation: Activations, shape (1 + points, n).
+        excitation: Excitations, shape (1 + points, n); at the start that before the motion.
+        effort: Efforts of the reserves, shape (1 + points, r).
+        fiber_length: Fibre lengths beside elastic tendons [m], shape (1 + points, ne).
+        fiber_speed: Rates of the fibre lengths per largest speed, shape (1 + points, ne).
     """
 
     activation: Array
@@ -87,18 +89,18 @@ class Excited(NamedTuple):
 
 
 class Optimal(NamedTuple):
-    """A trial of least cost.
+    """Solution of a trial.
 
     Attributes:
-        excited: What muscles do.
+        excited: States and inputs of the muscles.
         cost: Integral of the costs [s].
-        iterations: Of the solver.
-        is_good: Whether the conditions of an optimum hold.
-        status: What the solver says.
-        residual: Of the conditions of the optimum, in usual sizes.
-        lacking: Violations of the balance of forces, in usual sizes, shape (points, nv_y).
-        slopes: What the cost of an interval and all after it gains by activations and lengths of
-            fibres at its start, shape (intervals, n + ne).
+        iterations: Iterations of the solver.
+        is_good: Whether the optimality conditions hold.
+        status: Status of the solver.
+        residual: Residual of the optimality conditions, in characteristic sizes.
+        lacking: Residual forces, in characteristic sizes, shape (points, nv_y).
+        slopes: Derivatives of the cost from an interval to the end by the activations and fibre
+            lengths at its start (the costates), shape (intervals, n + ne).
     """
 
     excited: Excited
@@ -112,15 +114,15 @@ class Optimal(NamedTuple):
 
 
 class MuscleDynamics(NamedTuple):
-    """What takes part, and how finely it is followed.
+    """Dynamics of muscles over a motion, and the mesh on which they are solved.
 
     Attributes:
-        kind: `activation`: activations follow excitations, tendons are rigid; `tendon`: tendons
-            are elastic, too, where the muscle says so.
+        kind: `activation`: activations follow excitations and tendons are rigid. `tendon`: also
+            tendons are elastic, if the muscle has an elastic one.
         interval: Longest interval of the mesh [s].
-        degree: Points on an interval.
-        tolerance: Largest error of activations between points; finer intervals are tried where it
-            is larger.
+        degree: Collocation points on an interval.
+        tolerance: Largest error of activations between points; intervals with a larger one are
+            refined.
     """
 
     kind: str
@@ -130,18 +132,18 @@ class MuscleDynamics(NamedTuple):
 
 
 def muscles_with(dynamics: MuscleDynamics, muscles: Sequence[Muscle]) -> list[Muscle]:
-    """The muscles with these dynamics, on the same paths.
+    """Return muscles with these dynamics on the same paths.
 
-    Curves of other types have kinks, at which no optimum is found: these muscles get the curves
-    and the activation of De Groote and Fregly, with their own sizes and times.
+    Curves with kinks prevent an optimum, so muscles that have some get the curves and the
+    activation dynamics of De Groote and Fregly, with their own sizes and time constants.
     """
-    found = []
+    smooth_muscles = []
     for muscle in muscles:
         law, rate, tendon = muscle.contraction, muscle.dynamics, muscle.tendon
         if isinstance(rate, FirstOrder):
             law = law._replace(curves=_CURVES)
             rate = SmoothFirstOrder(rate.rising, rate.falling, rate.least, _STEEPNESS)
-        one = Muscle(muscle.path, law, rate, tendon if dynamics.kind == TENDON else "rigid")
-        one.name = muscle.name
-        found.append(one)
-    return found
+        smooth = Muscle(muscle.path, law, rate, tendon if dynamics.kind == TENDON else "rigid")
+        smooth.name = muscle.name
+        smooth_muscles.append(smooth)
+    return smooth_muscles

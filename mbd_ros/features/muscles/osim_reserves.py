@@ -6,7 +6,7 @@ from pathlib import Path
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, reserve_on
+from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, joint_reserve
 from mbd_ros.scene.models.imported_model import parse_document, read_text
 from mbd_ros.scene.models.osim.item import Item
 
@@ -15,38 +15,38 @@ _SIGNS = {"inf": 1.0, "infinity": 1.0, "-inf": -1.0, "-infinity": -1.0}
 
 
 def read_reserves(path: Path, robot: Robot, couplings: Couplings) -> list[Reserve]:
-    """The actuators of a file, in its order; those that it disables are left out.
+    """Read the actuators of a file in their order, without those that it disables.
 
     Args:
-        path: An .xml, packed by gzip or not.
-        robot: The robot that they act on.
-        couplings: Its dependent joints.
+        path: File (.xml), perhaps packed by gzip.
+        robot: The robot that the actuators act on.
+        couplings: Dependent joints of the robot.
 
     Raises:
-        SceneError: Missing, no XML, no `<ForceSet>`, an actuator of another type, or one that
-            does not fit the robot; names file and element.
+        SceneError: The file is missing or is no XML, it has no `<ForceSet>`, or an actuator has
+            another type or does not fit the robot; the message names file and element.
     """
     source = str(path)
     root = Item(parse_document(read_text(path), source), source)
     forces = root if root.type == "ForceSet" else root.find("ForceSet")
     if forces is None:
         raise root.error("expected <ForceSet> with actuators")
-    found = []
+    reserves = []
     for item in forces.children() if forces.find("objects") is None else forces.objects("objects"):
         if item.flag("isDisabled") or not item.flag("appliesForce", default=True):
             continue
         if item.type not in _READERS:
-            raise item.error(f"is no reserve, accepted: {', '.join(_READERS)}")
+            raise item.error(f"is not a reserve actuator, accepted: {', '.join(_READERS)}")
         try:
-            found.append(_READERS[item.type](item, robot, couplings))
+            reserves.append(_READERS[item.type](item, robot, couplings))
         except ModelError as error:
             raise item.error(str(error)) from error
-    return found
+    return reserves
 
 
 def _coordinate(item: Item, robot: Robot, couplings: Couplings) -> Reserve:
     joint, optimal = item.text("coordinate"), _optimal(item)
-    return reserve_on(robot, couplings, joint, optimal, item.name, _bounds(item))
+    return joint_reserve(robot, couplings, joint, optimal, item.name, _bounds(item))
 
 
 def _point(item: Item, robot: Robot, couplings: Couplings) -> Reserve:

@@ -1,12 +1,12 @@
-"""Static optimisation: how muscles share the forces that a motion needs, frame by frame.
+"""Static optimisation: muscles share the forces that a motion needs, frame by frame.
 
     min sum w_i a_i^p + sum |e_j|^p   subject to   sum_i B_i F0_i a_i + sum_j R_j e_j = tau
 
-with F0_i the force of muscle i at full activation beside a rigid tendon, at the length and the
-speed of the frame, e_j the effort of reserve j in optimal forces and tau the force that inverse
-dynamics finds without muscles, for all coordinates that are independent. Prices w_i have no units,
-and are about 1 for a muscle of the mean size. Activation and tendon have no dynamics here: no
-frame knows of another, unless rates of activation are limited.
+F0_i is the force of muscle i at full activation beside a rigid tendon, at the length and the speed
+of the frame. e_j is the effort of reserve j in optimal forces. tau is the force that inverse
+dynamics computes without muscles, for all independent coordinates. The prices w_i have no unit and
+are about 1 for a muscle of mean size. Activation and tendon have no dynamics here, so frames are
+independent of one another unless rates of activation are limited.
 
 Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793.
 """
@@ -37,7 +37,7 @@ MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
 
 
 class Criterion(NamedTuple):
-    """A cost of activations.
+    """Cost sum w a^p of activations.
 
     - `activation`: w = 1. Source: K. R. Kaufman et al., J. Biomech. 24 (1991) 793.
     - `stress`: w = (F0 / F_max)^p, so that a^p w = (force / peak force)^p, which is fatigue for
@@ -49,20 +49,20 @@ class Criterion(NamedTuple):
       R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
 
     Attributes:
-        kind: One of the four.
-        exponent: The p >= 1.
+        kind: `activation`, `stress`, `volume` or `metabolic`.
+        exponent: The exponent p >= 1.
     """
 
     kind: str = "activation"
     exponent: float = 2.0
 
     def prices(self, sizes: Sizes, active: Array, speed: Array) -> Array:
-        """The w, shape (frames, n).
+        """Return the prices w, shape (frames, n).
 
         Args:
-            sizes: Of the muscles.
-            active: Their F0, the force at full activation [N], shape (frames, n).
-            speed: Lengthening of their fibres [m/s], same shape.
+            sizes: Sizes of the muscles.
+            active: Forces F0 at full activation [N], shape (frames, n).
+            speed: Lengthening speeds of the fibres [m/s], shape (frames, n).
         """
         if self.kind == "activation":
             return np.ones_like(active)
@@ -78,16 +78,16 @@ class Criterion(NamedTuple):
 DEFAULT = Criterion()
 
 
-class Wishes(NamedTuple):
-    """What is asked of the activations.
+class SharingOptions(NamedTuple):
+    """Objective and limits of the activations.
 
     Attributes:
-        criterion: What is minimised.
-        passive: Whether the elastic force of the fibres acts beside the active one.
-        rise: Fastest rise of an activation [1/s], inf without a limit.
-        fall: Fastest fall [1/s].
+        criterion: Cost of the activations.
+        passive: Whether the elastic force of the fibres acts beside the active force.
+        rise: Fastest rise of an activation [1/s]; inf without a limit.
+        fall: Fastest fall of an activation [1/s]; inf without a limit.
         tracking: Price of (a - measured)^2, beside prices of about 1; 0 without tracking.
-        measured_is_least: Whether a measured activation is a lower bound: co-contraction.
+        measured_is_least: Whether measured activations are lower bounds (co-contraction).
     """
 
     criterion: Criterion = DEFAULT
@@ -98,30 +98,30 @@ class Wishes(NamedTuple):
     measured_is_least: bool = False
 
 
-NOTHING_SPECIAL = Wishes()
+DEFAULT_SHARING = SharingOptions()
 
 
 class StaticOptimization:
     """Static optimisation of muscles on an open chain, coupled or not.
 
-    A quadratic program is kept from frame to frame. One instance owns Pinocchio data: not for two
-    threads.
+    A frame starts from the solution of the frame before. An instance owns Pinocchio data, so it
+    must not be shared by threads.
 
     Args:
         known: Inverse dynamics of the robot without its muscles.
-        muscles: At least one.
-        reserves: What helps them.
-        wishes: What is asked.
-        search: Finds paths that wrap in many frames, as for `PathBatch`.
-        quick: As for `MuscleFrames`.
+        muscles: At least one muscle.
+        reserves: Reserve actuators that help the muscles.
+        sharing: Objective and limits of the activations.
+        search: Search for wrapping paths in many frames, as `PathBatch` takes it.
+        quick: Factory of native code for paths, as `MuscleFrames` takes it.
 
     Attributes:
-        names: Of muscles, then of reserves.
-        motion: Of all joints in the frames of the newest `solve`: positions, velocities and
-            accelerations, shape (nq, frames) and twice (nv, frames).
+        names: Names of the muscles, then of the reserves.
+        motion: Positions, velocities and accelerations of all joints in the frames of the latest
+            `solve`, shapes (nq, frames), (nv, frames) and (nv, frames).
 
     Raises:
-        ModelError: No muscle, or wishes that do not go together.
+        ModelError: There is no muscle, or the options exclude one another.
     """
 
     def __init__(
@@ -130,13 +130,13 @@ class StaticOptimization:
         known: InverseDynamics,
         muscles: Sequence[Muscle],
         reserves: Sequence[Reserve] = (),
-        wishes: Wishes = NOTHING_SPECIAL,
+        sharing: SharingOptions = DEFAULT_SHARING,
         search: Any = None,
         quick: Callable[..., Any] | None = None,
     ) -> None:
-        check_wishes(muscles, wishes)
+        check_sharing(muscles, sharing)
         self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
-        self.wishes, self.robot = wishes, robot
+        self.sharing, self.robot = sharing, robot
         self.names = tuple(part.name for part in (*muscles, *reserves))
         self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search, quick)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
@@ -150,7 +150,7 @@ class StaticOptimization:
         self.forget()
 
     def forget(self) -> None:
-        """Forget earlier frames: no rate is limited by them."""
+        """Forget earlier frames, so that they limit no rate of activation."""
         self._program.forget()
         self._last: tuple[float, Array] | None = None
 
@@ -166,53 +166,54 @@ class StaticOptimization:
         """Share the forces of a motion.
 
         Args:
-            times: Of the frames [s], shape (frames,).
-            position: Of the independent coordinates, shape (frames, ny).
-            velocity: Same, shape (frames, nv_y).
-            wrenches: One (frames, 6) array for every external load; none means unloaded.
-            measured: Activations that were measured, NaN where none was, shape (frames, n).
+            times: Times of the frames [s], shape (frames,).
+            position: Positions of the independent coordinates, shape (frames, ny).
+            velocity: Velocities of the independent coordinates, shape (frames, nv_y).
+            acceleration: Accelerations of the independent coordinates, shape (frames, nv_y).
+            wrenches: One (frames, 6) array for every external load; empty if unloaded.
+            measured: Measured activations, NaN where there is none, shape (frames, n).
 
         Raises:
-            SolveError: A frame whose answer does not pass the check, by its time.
+            SolveError: The solution of a frame fails its check; the message names the time.
         """
         frames, needed = self.demand(position, velocity, acceleration, wrenches)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
-        if self.wishes.passive:
+        if self.sharing.passive:
             b = needed - np.einsum("tji,ti->tj", frames.columns[:, :, : self._n], frames.passive)
-        prices = self.wishes.criterion.prices(self._sizes, frames.active, frames.fiber_speed)
+        prices = self.sharing.criterion.prices(self._sizes, frames.active, frames.fiber_speed)
         if measured is None:
             measured = np.full_like(frames.active, np.nan)
-        found, values = [], []
+        optima, values = [], []
         for t, *frame in zip(times.tolist(), A, b, prices, measured, strict=True):
             optimum, value = self._share(t, *frame)
-            found.append(optimum)
+            optima.append(optimum)
             values.append(value)
-        x = np.array([optimum.x for optimum in found])
+        x = np.array([optimum.x for optimum in optima])
         force = x[:, : self._n] * frames.active
-        if self.wishes.passive:
+        if self.sharing.passive:
             force += frames.passive
         return Shares(
             *(frames, needed, x[:, : self._n], force, x[:, self._n :] * self._optimal),
-            np.array([optimum.lacking for optimum in found]),
+            np.array([optimum.lacking for optimum in optima]),
             np.array(values),
-            np.array([optimum.residual for optimum in found]),
-            np.array([optimum.is_feasible for optimum in found]),
+            np.array([optimum.residual for optimum in optima]),
+            np.array([optimum.is_feasible for optimum in optima]),
             A,
-            tuple(optimum.movable for optimum in found),
+            tuple(optimum.movable for optimum in optima),
         )
 
     def demand(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> tuple[Frames, Array]:
-        """What muscles can exert in frames, and what the motion needs; arguments as `solve`."""
+        """Return the forces of muscles in frames, and the forces that the motion needs."""
         needed, slopes = self._needed(position, velocity, acceleration, wrenches)
         return self._frames.at(position, velocity, *self.motion[:2], slopes), needed
 
     def _needed(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array]
     ) -> tuple[Array, Slopes]:
-        """What the motion needs without muscles, shape (frames, nv_y), and slopes of couplings."""
+        """Return the forces of the motion, shape (frames, nv_y), and slopes of the couplings."""
         if len(position) > 1:
             self.motion, slopes = self._expanded(position, velocity, acceleration)
             return self.known.batch(position, velocity, acceleration, wrenches).tau, slopes
@@ -235,25 +236,25 @@ class StaticOptimization:
     def _share(
         self, t: float, A: Array, b: Array, prices: Array, measured: Array
     ) -> tuple[Optimum, float]:
-        """One frame."""
+        """Solve one frame; return its optimum and the value of its cost."""
         lower, upper, n = self._lower.copy(), self._upper.copy(), self._n
         known = np.isfinite(measured)
-        if self.wishes.measured_is_least:
+        if self.sharing.measured_is_least:
             lower[:n][known] = np.minimum(np.maximum(lower[:n], measured), upper[:n])[known]
         if self._last is not None:
             dt, before = t - self._last[0], self._last[1]
             lower[:n] = np.maximum(
-                lower[:n], np.minimum(before - self.wishes.fall * dt, upper[:n])
+                lower[:n], np.minimum(before - self.sharing.fall * dt, upper[:n])
             )
             upper[:n] = np.minimum(
-                upper[:n], np.maximum(before + self.wishes.rise * dt, lower[:n])
+                upper[:n], np.maximum(before + self.sharing.rise * dt, lower[:n])
             )
         cost = self._cost(prices, measured, known)
         try:
             optimum = self._program.solve(cost, A, b, lower, upper)
         except SolveError as error:
             raise SolveError(f"static optimisation at {t:.9g} s: {error}") from error
-        if min(self.wishes.rise, self.wishes.fall) < np.inf:
+        if min(self.sharing.rise, self.sharing.fall) < np.inf:
             self._last = t, optimum.x[:n]
         return optimum, cost.value(optimum.x)
 
@@ -261,45 +262,46 @@ class StaticOptimization:
         r, none = len(self.reserves), np.zeros(len(self.names))
         weight = np.concatenate((prices, np.ones(r)))
         stiffness, target = none, none
-        if self.wishes.tracking > 0.0:
-            price = np.where(known, self.wishes.tracking, 0.0)
+        if self.sharing.tracking > 0.0:
+            price = np.where(known, self.sharing.tracking, 0.0)
             stiffness = np.concatenate((price, np.zeros(r)))
             target = np.concatenate((np.where(known, measured, 0.0), np.zeros(r)))
-        return SeparableCost(self.wishes.criterion.exponent, weight, none, stiffness, target)
+        return SeparableCost(self.sharing.criterion.exponent, weight, none, stiffness, target)
 
 
-def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
-    """Refuse what no optimum is defined for.
+def check_sharing(muscles: Sequence[Muscle], sharing: SharingOptions) -> None:
+    """Refuse options for which no optimum is defined.
 
     Raises:
-        ModelError: No muscles, an exponent beside tracking that is too large, or a rate of 0.
+        ModelError: There are no muscles, the exponent is too large for tracking, or a rate is
+            not above 0.
     """
     if not muscles:
         raise ModelError("static optimisation: the scene has no muscles")
-    exponent = wishes.criterion.exponent
-    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
+    exponent = sharing.criterion.exponent
+    if sharing.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
         raise ModelError(
             f"static optimisation: exponent {exponent:g} beside measured activations that are "
             f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
         )
-    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
+    if not (sharing.rise > 0.0 and sharing.fall > 0.0):
         raise ModelError("static optimisation: rates of activation must be greater than 0")
 
 
 def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
-    """Sizes of muscles."""
+    """Return the sizes of muscles."""
     every = [muscle.contraction for muscle in muscles]
     rows = [[c.peak, c.optimal, c.fastest] for c in every]
     return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
 
 
 class Sizes(NamedTuple):
-    """Numbers of muscles, shape (n,) each.
+    """Sizes of n muscles, shape (n,) each.
 
     Attributes:
         peak: Largest isometric force [N].
-        optimal: Fibre length at which it is reached [m].
-        fastest: Largest speed of shortening [m/s].
+        optimal: Optimal fibre length, at which that force is reached [m].
+        fastest: Largest shortening speed [m/s].
     """
 
     peak: Array
@@ -309,23 +311,23 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Shares:
-    """One row a frame.
+    """Forces that muscles and reserves share, one row per frame.
 
     Attributes:
-        frames: What muscles and reserves can exert.
-        needed: Force that the motion needs of each independent coordinate without muscles
-            [N·m or N], shape (frames, nv_y).
-        activation: Shape (frames, n).
+        frames: Forces that muscles and reserves can exert.
+        needed: Force that the motion needs at each independent coordinate [N·m or N], shape
+            (frames, nv_y).
+        activation: Activations, shape (frames, n).
         force: Tension of each muscle [N], shape (frames, n).
         reserve: Force of each reserve [N·m or N], shape (frames, r).
-        lacking: What is needed and not there [N·m or N], shape (frames, nv_y).
+        lacking: Residual force, which nothing can exert [N·m or N], shape (frames, nv_y).
         objective: Value of the cost, shape (frames,).
-        residual: Largest violation of the conditions of the optimum, shape (frames,).
-        is_feasible: Whether nothing lacks, shape (frames,).
-        effects: Force of the independent coordinates by full activations and by efforts of 1
+        residual: Largest violation of the optimality conditions, shape (frames,).
+        is_feasible: Whether there is no residual force, shape (frames,).
+        effects: Force on the independent coordinates by full activations and by efforts of 1
             [N·m or N], shape (frames, nv_y, n + r).
-        movable: Muscles and reserves that other optima have otherwise, by their place in `names`;
-            none where the optimum of the frame is unique.
+        movable: Indices in `names` of muscles and reserves that differ in other optima; empty
+            where the optimum of the frame is unique.
     """
 
     frames: Frames
@@ -342,17 +344,17 @@ class Shares:
 
     @cached_property
     def rank(self) -> Array:
-        """Independent combinations of muscles and reserves, shape (frames,)."""
+        """Number of independent combinations of muscles and reserves, shape (frames,)."""
         return np.asarray(np.linalg.matrix_rank(_scaled(self.effects), tol=SINGULAR))
 
     @property
     def null_space(self) -> Array:
-        """Dimension of activations and efforts that together exert nothing, shape (frames,)."""
+        """Dimension of the combinations that exert nothing, shape (frames,)."""
         return np.asarray(self.effects.shape[2] - self.rank)
 
 
 def _scaled(A: Array) -> Array:
-    """Rows and columns of about equal size, so that ranks do not depend on units."""
+    """Scale rows and columns to about equal size, so that ranks do not depend on units."""
     rows = np.abs(A).max(axis=2, keepdims=True, initial=0.0)
     A = A / np.where(rows > 0.0, rows, 1.0)
     columns = np.abs(A).max(axis=1, keepdims=True, initial=0.0)
@@ -360,12 +362,13 @@ def _scaled(A: Array) -> Array:
 
 
 def shortening_rate(shortening: Array) -> Array:
-    """Metabolic rate of active fibres per peak force and largest speed.
+    """Return the metabolic rate of active fibres per peak force and largest speed.
 
     Source: A. E. Minetti, R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
 
     Args:
-        shortening: Speed per largest speed, negative where fibres lengthen; kept within -1 .. 1.
+        shortening: Shortening speed per largest speed, negative for fibres that lengthen; clipped
+            to -1 .. 1.
     """
     x = np.clip(shortening, -1.0, 1.0)
     above = 0.054 + x * (0.506 + 2.46 * x)

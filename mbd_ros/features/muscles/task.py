@@ -1,4 +1,4 @@
-"""The `muscles` section of a task file: how the muscles of a scene share a motion's forces."""
+"""The `muscles` section of a task file: how muscles share the forces that a motion needs."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,12 +10,12 @@ from mbd_ros.core.loads.inputs import input_names
 from mbd_ros.core.ranges import Positive, Unit, Within
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.muscles.muscle_trial import DEFAULTS, MuscleDynamics
+from mbd_ros.features.muscles.muscle_trial import MuscleDynamics
 from mbd_ros.features.muscles.static_optimization import (
     EXPONENTS,
     Criterion,
+    SharingOptions,
     StaticOptimization,
-    Wishes,
 )
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions, Side
 from mbd_ros.methods.inverse_dynamics.reserves import (
@@ -23,7 +23,7 @@ from mbd_ros.methods.inverse_dynamics.reserves import (
     InputReserve,
     Reserve,
     coordinate_reserves,
-    reserve_on,
+    joint_reserve,
 )
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
@@ -32,27 +32,28 @@ from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 
 Objective = Literal["activation", "stress", "volume", "metabolic"]
-Use = Literal["track", "least"]
-OptionalRate = Annotated[float | None, Within(1.0e-9, 1.0e9), Unit("1/s")]
-Dynamics = Literal["activation", "tendon"]
 Exponent = Annotated[float | None, Within(1.0, 10.0), Unit("-")]
+Rate = Annotated[float | None, Within(1.0e-9, 1.0e9), Unit("1/s")]
+Interval = Annotated[float, Within(1.0e-4, 10.0), Unit("s")]
+Degree = Annotated[int, Within(1, 8), Unit("-")]
+Tolerance = Annotated[float, Within(1.0e-8, 1.0), Unit("-")]
 
 
 @dataclass(frozen=True)
 class MusclesTask:
-    """Static optimisation, asked of a scene with muscles.
+    """How the muscles of a scene share the forces of a motion, and which loads are computed.
 
     Attributes:
-        wishes: What is asked of the activations.
-        reserves: What helps the muscles.
-        emg: Table of measured activations, `<muscle>.activation`; None without.
-        side: Whose loads of joints are asked for; None for no loads.
-        links: Whose joint; empty for all.
-        by_muscle: Whether the loads of each muscle are asked for, too.
-        dynamics: Of muscles over the whole motion; None for frames one by one.
+        sharing: Objective and limits of the activations.
+        reserves: Reserve actuators that help the muscles.
+        emg: Table of measured activations, `<muscle>.activation`; None without one.
+        side: Body and axes of the joint loads; None for no loads.
+        links: Links whose joints have loads; empty for all.
+        by_muscle: Whether the load of each muscle is computed, too.
+        dynamics: Dynamics of the muscles over the whole motion; None for frames one by one.
     """
 
-    wishes: Wishes
+    sharing: SharingOptions
     reserves: tuple[Reserve, ...]
     emg: Path | None
     side: Side | None
@@ -61,10 +62,10 @@ class MusclesTask:
     dynamics: MuscleDynamics | None = None
 
     def solver(self, scene: Scene, is_live: bool = False) -> StaticOptimization:
-        """Static optimisation with its own Pinocchio data.
+        """Return static optimisation with Pinocchio data of its own.
 
         Args:
-            is_live: Whether frames come one by one, which native code is worth then.
+            is_live: Whether frames come one by one; then native code is worth its compilation.
 
         Raises:
             SceneError: The scene has no muscles, or loops.
@@ -72,16 +73,20 @@ class MusclesTask:
         if scene.has_loops:
             rows = ", ".join(part.name for part in scene.constraints if part.law.is_rigid)
             raise SceneError(
-                f"{scene.name}: muscles share the forces of open chains and couplings; "
+                f"{scene.name}: muscle forces are computed for open chains and couplings only; "
                 f"leave out the loops {rows}"
             )
         known: Any = scene.inverse_dynamics()
         search = QuickestSearch()
         if any(getattr(muscle.path, "wraps", ()) for muscle in scene.muscles):
-            search.prepare()  # before frames are waited for
+            search.prepare()  # before a live node has to meet the time of a frame
         try:
             return StaticOptimization(
-                *(scene.robot, known, scene.muscles, self.reserves, self.wishes),
+                scene.robot,
+                known,
+                scene.muscles,
+                self.reserves,
+                self.sharing,
                 search=search,
                 quick=state_paths if is_live else None,
             )
@@ -89,43 +94,48 @@ class MusclesTask:
             raise SceneError(f"{scene.name}: {error}") from error
 
     def loads(self, scene: Scene) -> JointLoads | None:
-        """Loads of joints with their own Pinocchio data; None where nobody asks for them."""
+        """Return joint loads with Pinocchio data of their own; None if no side is given."""
         if self.side is None:
             return None
-        robot, none = scene.robot, ConstraintRows((), int(scene.robot.model.nv))
-        bare = JointReactions(robot, none, tuple(scene.wrenches.values()), scene.acting)
+        robot, no_rows = scene.robot, ConstraintRows((), int(scene.robot.model.nv))
+        wrenches = tuple(scene.wrenches.values())
+        bare = JointReactions(robot, no_rows, wrenches, scene.forces_without_input)
         try:
             return JointLoads(robot, bare, scene.muscles, self.reserves, self.links, self.side)
         except ModelError as error:
             raise SceneError(f"{scene.name}: links: {error}") from error
 
 
-def build_task(site: Site, given: Any) -> MusclesTask:
-    """The `muscles` section of a task file.
+def build_task(site: Site, entry: Any) -> MusclesTask:
+    """Build the `muscles` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
     scene: Any = site.scene
-    return muscles_task(scene, given, site.where, site.origin.folder)
+    return muscles_task(scene, entry, site.where, site.origin.folder)
 
 
-def muscles_task(scene: Scene, given: Any, where: str, folder: Path = Path()) -> MusclesTask:
-    """The task that options ask for.
+def muscles_task(scene: Scene, entry: Any, where: str, folder: Path = Path()) -> MusclesTask:
+    """Build a task from the keys of the section `muscles`.
 
     Args:
-        given: Options by name, see `_task`.
-        where: File and key, for the messages.
-        folder: Where paths begin.
+        entry: Values by key, as `task_of_keys` describes them.
+        where: File and key, for messages.
+        folder: Folder from which relative paths start.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
-    task: MusclesTask = schema.call(_task, given, where, scene, where, folder)
+    task: MusclesTask = schema.call(task_of_keys, entry, where, scene, where, folder)
+    if task.dynamics is None:
+        for key in MuscleDynamics._fields[1:]:
+            if key in entry:
+                raise SceneError(f"{where}.dynamics: is missing; {key} needs it")
     return task
 
 
-def _task(
+def task_of_keys(
     scene: Scene,
     where: str,
     folder: Path,
@@ -135,91 +145,133 @@ def _task(
     passive: bool = False,
     reserves: Any = None,
     residuals: Sequence[Mapping[str, Any]] = (),
-    rise: OptionalRate = None,
-    fall: OptionalRate = None,
+    rise: Rate = None,
+    fall: Rate = None,
     emg: str | None = None,
-    emg_use: Use = "track",
+    emg_use: Literal["track", "least"] = "track",
     emg_weight: Annotated[Positive, Unit("-")] = 10.0,
     reactions: Side | None = None,
     links: Sequence[str] = (),
     by_muscle: bool = False,
-    dynamics: Dynamics | None = None,
-    interval: Annotated[float | None, Within(1.0e-4, 10.0), Unit("s")] = None,
-    degree: Annotated[int | None, Within(1, 8), Unit("-")] = None,
-    tolerance: Annotated[float | None, Within(1.0e-8, 1.0), Unit("-")] = None,
+    dynamics: Literal["activation", "tendon"] | None = None,
+    interval: Interval = 0.02,
+    degree: Degree = 4,
+    tolerance: Tolerance = 1.0e-3,
 ) -> MusclesTask:
-    tracking = emg_weight if emg is not None and emg_use == "track" else 0.0
-    wishes = Wishes(
-        Criterion(objective, EXPONENTS[objective] if exponent is None else exponent),
-        passive,
-        math.inf if rise is None else rise,
-        math.inf if fall is None else fall,
-        tracking,
-        emg is not None and emg_use == "least",
+    """Build a task; the keyword arguments are the keys of the section `muscles`.
+
+    Args:
+        where: File and key, for messages.
+        folder: Folder from which relative paths start.
+        objective: The cost of the activations a, a sum of w a^p. activation: w = 1. stress:
+            w = (F0 / F_max)^p. volume: w = F_max l_opt over its mean. metabolic: w is the
+            metabolic rate of the fibres.
+        exponent: Exponent p of the activations, from 1 to 10. By default 2 for activation and
+            volume, 3 for stress and 1 for metabolic.
+        passive: Include the passive elastic force of the fibres.
+        reserves: Optimal force of a reserve actuator on every independent coordinate [N·m or N],
+            or the actuators of OpenSim (.xml). A task file also takes a number by joint. By
+            default there are no reserves.
+        residuals: Reserve forces and torques on bodies.
+        rise: Fastest rise of an activation [1/s].
+        fall: Fastest fall of an activation [1/s].
+        emg: Table of measured activations, `<muscle>.activation`, from 0 to 1.
+        emg_use: Whether the cost includes the squared distance from the measured activations
+            (track), or these are lower bounds (least).
+        emg_weight: Weight of the squared distance from the measured activations.
+        reactions: Also compute joint loads. child: on the child body in its axes. parent: on the
+            parent body in its axes. ground: on the child body in world axes.
+        links: Links whose joints have loads; a list a,b,c on the command line. By default all.
+        by_muscle: Also compute the share of each muscle in the joint loads.
+        dynamics: Solve for the whole motion at once. activation: activations follow excitations.
+            tendon: elastic tendons stretch, too. By default frames are solved one by one.
+        interval: Longest interval of the mesh of `dynamics` [s].
+        degree: Collocation points on an interval.
+        tolerance: Largest error of activations between collocation points.
+    """
+    is_tracked = emg is not None and emg_use == "track"
+    sharing = SharingOptions(
+        criterion=Criterion(objective, EXPONENTS[objective] if exponent is None else exponent),
+        passive=passive,
+        rise=math.inf if rise is None else rise,
+        fall=math.inf if fall is None else fall,
+        tracking=emg_weight if is_tracked else 0.0,
+        measured_is_least=emg is not None and emg_use == "least",
     )
     if reactions is None and (links or by_muscle):
-        raise SceneError(f"{where}.reactions: is missing, links and by_muscle say more of it")
-    helping = [*_inputs(scene), *_reserves(scene, reserves, f"{where}.reserves", folder)]
+        raise SceneError(f"{where}.reactions: is missing; links and by_muscle need it")
+    every = [*_input_reserves(scene), *_reserves(scene, reserves, f"{where}.reserves", folder)]
     for i, entry in enumerate(residuals):
-        helping.append(
-            schema.call(BodyReserve, dict(entry), f"{where}.residuals[{i}]", scene.robot)
-        )
-    _refuse_repeated(scene, helping, where)
-    file = None if emg is None else find_file(folder, emg, f"{where}.emg")
-    lasting = _dynamics(where, wishes, dynamics, interval, degree, tolerance)
-    loads = reactions, tuple(links), by_muscle
-    return MusclesTask(wishes, tuple(helping), file, *loads, lasting)
+        place = f"{where}.residuals[{i}]"
+        every.append(schema.call(BodyReserve, dict(entry), place, scene.robot))
+    _refuse_repeated(scene, every, where)
+    return MusclesTask(
+        sharing,
+        tuple(every),
+        emg=None if emg is None else find_file(folder, emg, f"{where}.emg"),
+        side=reactions,
+        links=tuple(links),
+        by_muscle=by_muscle,
+        dynamics=_dynamics(where, sharing, dynamics, interval, degree, tolerance),
+    )
 
 
 def _dynamics(
-    where: str, wishes: Wishes, kind: str | None, *more: float | int | str | None
+    where: str,
+    sharing: SharingOptions,
+    kind: str | None,
+    interval: float,
+    degree: int,
+    tolerance: float,
 ) -> MuscleDynamics | None:
     if kind is None:
-        for key, value in zip(MuscleDynamics._fields[1:], more, strict=True):
-            if value is not None:
-                raise SceneError(f"{where}.dynamics: is missing, {key} says more of it")
         return None
-    if wishes.passive or min(wishes.rise, wishes.fall) < math.inf:
+    if sharing.passive or min(sharing.rise, sharing.fall) < math.inf:
         raise SceneError(
             f"{where}.dynamics: passive, rise and fall are for frames one by one; with dynamics "
             "fibres have their passive force, and activations their rates"
         )
-    given = [one if value is None else value for one, value in zip(DEFAULTS, more, strict=True)]
-    return MuscleDynamics(kind, *given)
+    return MuscleDynamics(kind, interval, degree, tolerance)
 
 
-def _reserves(scene: Scene, given: Any, where: str, folder: Path) -> Sequence[Reserve]:
-    """A number for all coordinates, numbers by joint, or a file of OpenSim."""
+def _reserves(scene: Scene, reserves: Any, where: str, folder: Path) -> Sequence[Reserve]:
+    """Build reserves from a number for all coordinates, numbers by joint, or a file of OpenSim."""
     robot, couplings = scene.robot, scene.couplings
-    if given is None:
+    if reserves is None:
         return ()
-    if isinstance(given, str):
+    if isinstance(reserves, str):
         from mbd_ros.features.muscles.osim_reserves import read_reserves  # reads XML
 
-        return read_reserves(find_file(folder, given, where), robot, couplings)
-    if isinstance(given, Mapping):
-        numbers = {n: schema.value(v, Positive, f"{where}.{n}") for n, v in given.items()}
+        return read_reserves(find_file(folder, reserves, where), robot, couplings)
+    if isinstance(reserves, Mapping):
+        forces = {n: schema.value(v, Positive, f"{where}.{n}") for n, v in reserves.items()}
         try:
-            return [reserve_on(robot, couplings, name, n) for name, n in numbers.items()]
+            return [joint_reserve(robot, couplings, name, force) for name, force in forces.items()]
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
-    return coordinate_reserves(robot, couplings, schema.value(given, Positive, where))
+    return coordinate_reserves(robot, couplings, schema.value(reserves, Positive, where))
 
 
-def _inputs(scene: Scene) -> list[Reserve]:
-    """Inputs of actuators and forces that share with the muscles; not of states of their own."""
-    found: list[Reserve] = []
+def _input_reserves(scene: Scene) -> list[Reserve]:
+    """Return the inputs of actuators and forces, except those with internal states.
+
+    They share the forces with the muscles.
+    """
+    reserves: list[Reserve] = []
     for part in (*scene.actuators, *(force for force in scene.forces if force.inputs)):
         if part.internal:
             continue
         names = [part.name] if len(part.inputs) == 1 else input_names(part)
-        found += [InputReserve(n.replace(".", "_"), part, i) for i, n in enumerate(names)]
-    return found
+        reserves += [InputReserve(n.replace(".", "_"), part, i) for i, n in enumerate(names)]
+    return reserves
 
 
-def _refuse_repeated(scene: Scene, helping: Sequence[Reserve], where: str) -> None:
+def _refuse_repeated(scene: Scene, reserves: Sequence[Reserve], where: str) -> None:
     seen = {muscle.name for muscle in scene.muscles}
-    for reserve in helping:
+    for reserve in reserves:
         if reserve.name in seen:
-            raise SceneError(f"{where}: the name {reserve.name} of a reserve is taken")
+            raise SceneError(
+                f"{where}: the reserve {reserve.name} has the name of a muscle or of another "
+                "reserve; rename one of them"
+            )
         seen.add(reserve.name)

@@ -1,8 +1,8 @@
-"""Sharing with the dynamics of activations and tendons, over a whole motion at once.
+"""Muscle forces with the dynamics of activations and tendons, over a whole motion at once.
 
-The motion is known at points of a mesh; excitations that explain it at least cost are the solution
-of `trial_program`. Where activations between points are off by more than a tolerance, intervals
-are halved and solved again, with those beside them.
+The motion is known at the points of a mesh; `trial_program` finds the excitations of least cost
+that explain it. Intervals in which activations between points have an error above a tolerance are
+halved, and solved again with their neighbours.
 """
 
 from __future__ import annotations
@@ -34,75 +34,79 @@ from mbd_ros.jobs.progress import announce
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.optimal_control.mesh import MOST_INTERVALS, RADAU, Collocation, collocation
 
-_NEAR = 1.0  # longest intervals beside one that is cut: muscles forget over some 0.02 s
+_NEAR = 1.0  # longest intervals beside a halved one: muscles forget within some 0.02 s
 _HALVINGS = 4  # of intervals, at either end: activations change fastest there
-_LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
-_BISECTIONS = 30  # to the length at which fibres and tendons are in balance
-_ACCURACY = 1.0e-6  # of the conditions of the optimum
-_FLAT_ACCURACY = 0.1  # of that, where costs are flat at small excitations
+_LEAST_SIZE = 1.0e-3  # of the largest force: characteristic size of a coordinate without load
+_BISECTIONS = 30  # to the length at which fibre and tendon are in equilibrium
+_ACCURACY = 1.0e-6  # of the optimality conditions
+_FLAT_ACCURACY = 0.1  # factor for costs that are flat at small excitations
 _MOST_ITERATIONS = 500
 _REFINEMENTS = 2  # of the mesh, at most
-_NAMED = 3  # worst places of a trial that cannot be produced
+_MOST_NAMED = 3  # residual forces that an error names
 
 
 def shared_trial(
     solver: StaticOptimization,
-    asked: MuscleDynamics,
+    dynamics: MuscleDynamics,
     samples: Observations,
     wrenches: Sequence[Array],
     static: Shares,
     measured: Callable[[Array], Array | None],
 ) -> Shared:
-    """The excitations that explain a motion at least cost.
+    """Find the excitations of least cost that explain a motion.
 
     Args:
-        solver: Of the frames one by one.
+        solver: Solver of frames one by one.
+        dynamics: Dynamics of the muscles, and the mesh.
+        samples: The motion.
         wrenches: External loads at its samples.
-        static: What static optimisation says of them.
-        measured: Measured activations at some stamps [ns].
+        static: Solution of static optimisation, from which the search starts.
+        measured: Function that gives measured activations at stamps [ns].
 
     Raises:
-        DataError: The motion is too short.
-        SolveError: Muscles and reserves cannot produce it; names where.
+        DataError: The motion is too short, or has too many intervals.
+        SolveError: Muscles and reserves cannot produce the motion; the message names where.
     """
     from mbd_ros.features.muscles.trial_program import MuscleProgram  # the extra compiled
 
     times = (samples.stamps - samples.stamps[0]) * NANOSECOND
     if len(times) < 4:
-        raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
-    muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
-    count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
+        raise DataError(
+            f"dynamics: the motion has {len(times)} frames, dynamics of muscles need at least 4"
+        )
+    muscles, p = muscles_with(dynamics, solver.muscles), solver.sharing.criterion.exponent
+    count = max(1, math.ceil(times[-1] / dynamics.interval - 1.0e-6))
     if count > MOST_INTERVALS:
         raise DataError(
-            f"{times[-1]:g} s in intervals of {asked.interval:g} s: {count}, accepted are "
-            f"{MOST_INTERVALS}; choose a longer interval"
+            f"interval: {dynamics.interval:g} s splits {times[-1]:g} s into {count} intervals, "
+            f"accepted are at most {MOST_INTERVALS}; choose a longer interval"
         )
-    points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
+    points = Points(graded(times[-1], count), collocation(RADAU, dynamics.degree))
 
-    def solved(points: Points, guess: Excited, part: Any = None) -> Optimal:
-        trial = known_at(points, solver, muscles, samples, wrenches, measured)
+    def solve(points: Points, guess: Excited, part: Any = None) -> Optimal:
+        trial = trial_at(points, solver, muscles, samples, wrenches, measured)
         program = MuscleProgram(muscles, trial, points.scheme, p, part)
         accuracy = _ACCURACY if p == 2.0 else _FLAT_ACCURACY * _ACCURACY
         return program.solve(guess, accuracy, _MOST_ITERATIONS, part is not None)
 
     announce(f"excitations on {len(points.knots) - 1} intervals")
-    guess = first_guess(muscles, points.whole, times, static)
-    found = solved(points, guess)
-    if not found.is_good:
+    guess = first_guess(muscles, points.times_with_start, times, static)
+    solution = solve(points, guess)
+    if not solution.is_good:
         begin = float(samples.stamps[0] * NANOSECOND)
-        raise SolveError(_why(solver, found, begin + points.times))
-    points, found, off = _refined(muscles, points, found, asked.tolerance, solved)
-    return _at_samples(solver, muscles, points, found, static, times, off)
+        raise SolveError(_failure(solver, solution, begin + points.times))
+    points, solution, error = _refine(muscles, points, solution, dynamics.tolerance, solve)
+    return _at_samples(muscles, points, solution, static, times, error)
 
 
 class Shared(NamedTuple):
-    """A trial at the samples of its motion.
+    """Solution of a trial at the samples of its motion.
 
     Attributes:
-        shares: As static optimisation gives them.
-        excitation: Shape (samples, n).
-        fiber_length: Of fibres beside elastic tendons [m], by muscle.
-        remarks: What was found, a line each.
+        shares: Shares of muscles and reserves.
+        excitation: Excitations, shape (samples, n).
+        fiber_length: Fibre lengths beside elastic tendons [m], by muscle.
+        remarks: Lines for people.
     """
 
     shares: Shares
@@ -112,11 +116,11 @@ class Shared(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Where a trial is looked at.
+    """Mesh of a trial.
 
     Attributes:
         knots: Ends of the intervals [s], shape (intervals + 1,).
-        scheme: The collocation on each.
+        scheme: Collocation on each interval.
     """
 
     knots: Array
@@ -124,38 +128,38 @@ class Points(NamedTuple):
 
     @property
     def times(self) -> Array:
-        """Of the points [s]."""
+        """Times of the points [s]."""
         h = np.diff(self.knots)[:, None]
-        found: Array = (self.knots[:-1, None] + h * self.scheme.c).ravel()
-        return found
+        times: Array = (self.knots[:-1, None] + h * self.scheme.c).ravel()
+        return times
 
     @property
-    def whole(self) -> Array:
-        """The start, then the times of the points [s]."""
+    def times_with_start(self) -> Array:
+        """Time of the start, then the times of the points [s]."""
         return np.concatenate(([0.0], self.times))
 
     def states(self, values: Array, t: Array) -> Array:
-        """What is continuous, at some times: polynomials through the points and the end before.
+        """Interpolate states by polynomials through the points and the end of the interval before.
 
         Args:
-            values: At the start and at the points.
-            t: The times [s].
+            values: Values at the start and at the points.
+            t: Times [s].
         """
         stacked = self._stacked(values)
         starts = np.concatenate((values[:1], stacked[:-1, -1]))[:, None]
         interval, s = self._find(t)
-        whole = np.concatenate((starts, stacked), axis=1)[interval]
+        on_interval = np.concatenate((starts, stacked), axis=1)[interval]
         powers, ends = np.arange(self.scheme.degree + 1), np.concatenate(([0.0], self.scheme.c))
         weights = s[:, None] ** powers @ np.linalg.inv(ends[:, None] ** powers)
-        return np.einsum("tk,tki->ti", weights, whole)
+        return np.einsum("tk,tki->ti", weights, on_interval)
 
     def inputs(self, values: Array, t: Array) -> Array:
-        """What jumps from interval to interval, at some times; arguments as `states`."""
+        """Interpolate inputs, which jump between intervals; the arguments are as for states."""
         interval, s = self._find(t)
         return np.einsum("tk,tki->ti", self.scheme.values(s), self._stacked(values)[interval])
 
     def split(self, which: NDArray[np.bool_]) -> tuple[Points, NDArray[np.bool_]]:
-        """With some intervals cut in two, and which of the new ones are near a cut."""
+        """Halve some intervals; also return which of the new intervals are near a halved one."""
         middle = 0.5 * (self.knots[:-1] + self.knots[1:])[which]
         knots = np.sort(np.concatenate((self.knots, middle)))
         inner, reach = 0.5 * (knots[:-1] + knots[1:])[:, None], _NEAR * np.diff(self.knots).max()
@@ -163,8 +167,8 @@ class Points(NamedTuple):
         return Points(knots, self.scheme), ((inner > begins) & (inner < ends)).any(axis=1)
 
     def at_starts(self, values: Array, finer: Points) -> Array:
-        """What is given at starts of intervals, at those of finer ones."""
-        columns = [np.interp(finer.knots[:-1], self.knots[:-1], one) for one in values.T]
+        """Interpolate values at the starts of intervals to the starts of finer intervals."""
+        columns = [np.interp(finer.knots[:-1], self.knots[:-1], row) for row in values.T]
         return np.stack(columns, axis=1)
 
     def _stacked(self, values: Array) -> Array:
@@ -177,14 +181,14 @@ class Points(NamedTuple):
 
 
 def graded(duration: float, count: int) -> Array:
-    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
+    """Return the ends of equal intervals, halved repeatedly at the start and the end."""
     knots = np.linspace(0.0, duration, count + 1)
     short = knots[1] * 0.5 ** np.arange(_HALVINGS, 0, -1)
-    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
-    return found
+    graded_knots: Array = np.unique(np.concatenate((knots, short, duration - short)))
+    return graded_knots
 
 
-def known_at(
+def trial_at(
     points: Points,
     solver: StaticOptimization,
     muscles: Sequence[Muscle],
@@ -192,11 +196,11 @@ def known_at(
     wrenches: Sequence[Array],
     activations: Callable[[Array], Array | None],
 ) -> Trial:
-    """The motion at the points, by cubic splines through its samples."""
+    """Evaluate the motion at the points, by cubic splines through its samples."""
     from scipy.interpolate import CubicSpline
 
     times = (samples.stamps - samples.stamps[0]) * NANOSECOND
-    at = points.whole
+    at = points.times_with_start
     measured = activations(samples.stamps[0] + np.round(at / NANOSECOND).astype(np.int64))
     motion = [CubicSpline(times, values)(at) for values in samples[1:4]]
     for body in IndependentCoordinates(solver.robot, solver.known.couplings).body_y:
@@ -207,15 +211,15 @@ def known_at(
     n = len(muscles)
     columns = frames.columns.copy()
     columns[:, :, n:] *= [reserve.optimal for reserve in solver.reserves]
-    prices = solver.wishes.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
+    prices = solver.sharing.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
     least = np.tile([float(muscle.dynamics.least) for muscle in muscles], (len(at), 1))
     stiffness, target = np.zeros_like(least), np.zeros_like(least)
     if measured is not None:
-        given = np.isfinite(measured)
-        target[given] = measured[given]
-        if solver.wishes.measured_is_least:
-            least = np.where(given, np.clip(target, least, 1.0), least)
-        stiffness[given] = solver.wishes.tracking
+        has_value = np.isfinite(measured)
+        target[has_value] = measured[has_value]
+        if solver.sharing.measured_is_least:
+            least = np.where(has_value, np.clip(target, least, 1.0), least)
+        stiffness[has_value] = solver.sharing.tracking
     largest = np.abs(needed).max(axis=0, initial=0.0)
     sizes = np.maximum(largest, _LEAST_SIZE * largest.max(initial=0.0))
     return Trial(
@@ -226,7 +230,7 @@ def known_at(
 
 
 def rigid_tensions(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Array]:
-    """Tensions beside rigid tendons at full activation less those without, and these [N]."""
+    """Return slope and offset of tensions beside rigid tendons over the activation [N]."""
     k, none = ArrayNumbers, np.zeros_like(frames.length)
     strength, offset = none, none.copy()
     for i, muscle in enumerate(muscles):
@@ -240,7 +244,7 @@ def rigid_tensions(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Ar
 
 
 def first_guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shares) -> Excited:
-    """Excitations as activations of frames one by one, fibres at rest beside their tendons."""
+    """Guess excitations from static activations, and fibres at rest beside their tendons."""
     every = static.activation, static.frames.length
     activation, length = (
         np.stack([np.interp(at, times, column) for column in values.T], axis=1) for values in every
@@ -256,7 +260,7 @@ def first_guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shar
 
 
 def _at_rest(law: Contraction, activation: Array, length: Array) -> Array:
-    """Lengths at which fibres and tendons are in balance [m], by bisection."""
+    """Find the fibre lengths at which fibres and tendons are in equilibrium [m], by bisection."""
     k, short = ArrayNumbers, np.full_like(length, max(law.pennation.shortest, 0.1 * law.optimal))
     long = np.maximum(law.pennation.fiber(k, length - law.slack), 1.01 * short)
     for _ in range(_BISECTIONS):
@@ -268,90 +272,85 @@ def _at_rest(law: Contraction, activation: Array, length: Array) -> Array:
     return 0.5 * (short + long)
 
 
-def _why(solver: StaticOptimization, found: Optimal, at: Array) -> str:
-    """What could not be produced, and where."""
+def _failure(solver: StaticOptimization, solution: Optimal, at: Array) -> str:
+    """Return the message of a failed solution, with its largest residual forces."""
     names = solver.known.couplings.independent
-    worst = np.argsort(found.lacking, axis=None)[::-1][:_NAMED]
-    places = [np.unravel_index(one, found.lacking.shape) for one in worst]
-    said = ", ".join(
+    worst = np.argsort(solution.lacking, axis=None)[::-1][:_MOST_NAMED]
+    places = [np.unravel_index(index, solution.lacking.shape) for index in worst]
+    residuals = ", ".join(
         f"{names[j] if j < len(names) else f'coordinate {j}'} at {at[i]:.3f} s "
-        f"({100.0 * found.lacking[i, j]:.2g} % of its largest force)"
+        f"({100.0 * solution.lacking[i, j]:.2g} % of its largest force)"
         for i, j in places
-        if found.lacking[i, j] > _ACCURACY
+        if solution.lacking[i, j] > _ACCURACY
     )
     return (
-        f"dynamics of muscles: no solution after {found.iterations} iterations "
-        f"({found.status}); " + (f"what lacks most: {said}; give reserves" if said else "")
+        f"dynamics of muscles: no solution after {solution.iterations} iterations "
+        f"({solution.status})"
+        + (f"; largest residual forces: {residuals}; add reserves" if residuals else "")
     )
 
 
-def _refined(
+def _refine(
     muscles: Sequence[Muscle],
     points: Points,
-    found: Optimal,
+    solution: Optimal,
     tolerance: float,
-    solved: Callable[..., Optimal],
+    solve: Callable[..., Optimal],
 ) -> tuple[Points, Optimal, float]:
-    """Solved again on halves of intervals and beside them, where errors are larger than that."""
+    """Halve the intervals with errors above a tolerance, and solve them and their neighbours."""
     from mbd_ros.features.muscles.trial_program import Part
 
-    off = between(muscles, points, found.excited)
+    errors = interval_errors(muscles, points, solution.excited)
     for _ in range(_REFINEMENTS):
-        if off.max() <= tolerance:
+        if errors.max() <= tolerance:
             break
-        finer, is_near = points.split(off > tolerance)
+        finer, is_near = points.split(errors > tolerance)
         announce(f"excitations again on {is_near.sum()} of {len(is_near)} intervals")
-        part = Part(is_near, points.at_starts(found.slopes, finer))
-        guess = moved(points, found.excited, finer.whole)
-        better = solved(finer, guess, part)
+        part = Part(is_near, points.at_starts(solution.slopes, finer))
+        guess = interpolate(points, solution.excited, finer.times_with_start)
+        better = solve(finer, guess, part)
         if not better.is_good:
             break
-        largest = max(found.residual, better.residual)
-        points, found = finer, better._replace(residual=largest)
-        off = between(muscles, points, found.excited)
-    return points, found, float(off.max())
+        largest = max(solution.residual, better.residual)
+        points, solution = finer, better._replace(residual=largest)
+        errors = interval_errors(muscles, points, solution.excited)
+    return points, solution, float(errors.max())
 
 
-def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
-    """Largest error of the activations over each interval, by their defect between the points.
-
-    Args:
-        points: Where they are looked at.
-        found: What they do there.
-    """
+def interval_errors(muscles: Sequence[Muscle], points: Points, excited: Excited) -> Array:
+    """Estimate the largest error of the activations in each interval from their defects."""
     ends = np.concatenate(([0.0], points.scheme.c))
     inner, h = 0.5 * (ends[1:] + ends[:-1]), np.diff(points.knots)[:, None]
     t, short = (points.knots[:-1, None] + h * inner).ravel(), 1.0e-4 * h.min()
-    before, after = (points.states(found.activation, t + way * short) for way in (-1.0, 1.0))
-    a, e = 0.5 * (before + after), points.inputs(found.excitation, t)
+    before, after = (points.states(excited.activation, t + side * short) for side in (-1.0, 1.0))
+    a, e = 0.5 * (before + after), points.inputs(excited.excitation, t)
     rates = [m.dynamics.rate(ArrayNumbers, e[:, i], a[:, i]) for i, m in enumerate(muscles)]
     defect = np.abs((after - before) / (2.0 * short) - np.stack(rates, axis=1)).max(axis=1)
     widest = h[:, 0] * np.diff(ends).max()
-    found_: Array = defect.reshape(len(h), -1).max(axis=1) * widest
-    return found_
+    errors: Array = defect.reshape(len(h), -1).max(axis=1) * widest
+    return errors
 
 
-def moved(points: Points, found: Excited, at: Array) -> Excited:
-    """What was found, at other times."""
-    states = (points.states(values, at) for values in (found.activation, found.fiber_length))
+def interpolate(points: Points, excited: Excited, at: Array) -> Excited:
+    """Return states and inputs at other times [s]."""
+    states = (points.states(values, at) for values in (excited.activation, excited.fiber_length))
     activation, fibers = states
-    inputs = found.excitation, found.effort, found.fiber_speed
+    inputs = excited.excitation, excited.effort, excited.fiber_speed
     excitation, effort, speed = (points.inputs(values, at) for values in inputs)
     return Excited(activation, excitation, effort, fibers, speed)
 
 
 def _at_samples(
-    solver: StaticOptimization,
     muscles: Sequence[Muscle],
     points: Points,
-    found: Optimal,
+    solution: Optimal,
     static: Shares,
     times: Array,
-    off: float,
+    error: float,
 ) -> Shared:
     least = [float(muscle.dynamics.least) for muscle in muscles]
-    activation = np.clip(points.states(found.excited.activation, times), least, 1.0)
-    lengths = points.states(found.excited.fiber_length, times)
+    activation = np.clip(points.states(solution.excited.activation, times), least, 1.0)
+    lengths = points.states(solution.excited.fiber_length, times)
     elastic = [muscle.name for muscle in muscles if muscle.is_elastic]
     fibers = dict(zip(elastic, lengths.T, strict=True))
     frames = static.frames
@@ -361,8 +360,8 @@ def _at_samples(
         if muscle.is_elastic:
             law = muscle.contraction
             force[:, i] = law.tendon(ArrayNumbers, frames.length[:, i], fibers[muscle.name])
-    reserve, lacking = _reserved(static, force)
-    excitation = points.inputs(found.excited.excitation, times)
+    reserve, lacking = _reserve_forces(static, force)
+    excitation = points.inputs(solution.excited.excitation, times)
     count = len(times)
     shares = replace(
         static,
@@ -370,21 +369,21 @@ def _at_samples(
         force=force,
         reserve=reserve,
         lacking=lacking,
-        objective=np.full(count, found.cost),
-        residual=np.full(count, found.residual),
+        objective=np.full(count, solution.cost),
+        residual=np.full(count, solution.residual),
         is_feasible=np.ones(count, dtype=bool),
         movable=((),) * count,
     )
     remarks = (
-        f"dynamics: {len(points.knots) - 1} intervals, {found.iterations} iterations on the last "
-        f"mesh, cost {found.cost:.6g}, residual {found.residual:.1e}; between points activations "
-        f"are off by at most {off:.1e}",
+        f"dynamics: {len(points.knots) - 1} intervals, {solution.iterations} iterations on the "
+        f"last mesh, cost {solution.cost:.6g}, residual {solution.residual:.1e}; between points "
+        f"activations are off by at most {error:.1e}",
     )
     return Shared(shares, excitation, fibers, remarks)
 
 
-def _reserved(static: Shares, force: Array) -> tuple[Array, Array]:
-    """What reserves add to muscles, shape (samples, reserves), and what is lacking then."""
+def _reserve_forces(static: Shares, force: Array) -> tuple[Array, Array]:
+    """Return the forces of reserves, shape (samples, r), and the residual forces."""
     columns, n = static.frames.columns, force.shape[1]
     lacking = static.needed - np.einsum("tji,ti->tj", columns[:, :, :n], force)
     reserve = np.einsum("tij,tj->ti", np.linalg.pinv(columns[:, :, n:]), lacking)

@@ -1,4 +1,4 @@
-"""Words of `mbd-ros predict`."""
+"""Command line of `mbd-ros predict`."""
 
 import argparse
 
@@ -10,25 +10,26 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `predict` understands."""
+    """Add the options of `predict` to a parser."""
     add_scene(parser)
-    parser.add_argument("task", type=path_word, help="task file with a section predict")
+    parser.add_argument("task", type=path_word, help="Task file with a section predict.")
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
-        help="the motion; .npz and .parquet hold all tables, beside a .csv stand OUT.goals.csv "
-        "and OUT.nodes.csv",
+        help="Predicted motion; .npz and .parquet hold all tables, .csv comes with OUT.goals.csv "
+        "and OUT.nodes.csv.",
     )
     add_workers(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.prediction.job import predict_to
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
-    where = arguments.workers, arguments.scheduler
-    is_found = predict_to(scene, arguments.task, arguments.out, say, *where)
-    return OK if is_found else FAILED
+
+    workers = arguments.workers, arguments.scheduler
+    has_solution = predict_to(scene, arguments.task, arguments.out, say, *workers)
+    return OK if has_solution else FAILED

@@ -1,4 +1,4 @@
-"""The systems of the phases of a motion, what links them and what drives them."""
+"""Systems of the phases of a motion, the linkages between phases, and the drives of a scene."""
 
 from __future__ import annotations
 
@@ -27,47 +27,48 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import Linkage
 
-_OFF = 1  # a row that gives way, at its lower bound
-DRIVES = "drives"  # ideal ones in all independent joints
+_OFF = 1  # mode of a unilateral row at its lower bound
+DRIVES = "drives"  # name of the ideal drives in all independent joints
 _RESIDUAL = "_residual"
 
 
-def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
-    """The systems of the phases of a task.
+def build_phase_modes(scene: Scene, task: PredictTask) -> list[PhaseMode]:
+    """Build the systems of the phases of a task.
 
     Raises:
-        ModelError: A phase that the scene does not have.
+        ModelError: The scene does not have a phase of the task.
     """
     names = list(scene.phases)
     if not names:
-        for one in task.phases:
-            if one.phase:
-                raise ModelError(f"phase '{one.phase}': the scene has no phases")
+        for phase in task.phases:
+            if phase.phase:
+                raise ModelError(f"phase '{phase.phase}': the scene has no phases")
         system = scene.system()
         return [PhaseMode(0, system, _mode(system)) for _ in task.phases]
-    phased, found = build_phased_system(scene), list[PhaseMode]()
-    for one in task.phases:
-        if one.phase and one.phase not in names:
-            close = nearest(one.phase, names, 1)
+    phased, modes = build_phased_system(scene), list[PhaseMode]()
+    for phase in task.phases:
+        if phase.phase and phase.phase not in names:
+            close = nearest(phase.phase, names, 1)
             hint = f", the nearest is '{close[0]}'" if close else ""
-            raise ModelError(f"no phase '{one.phase}'{hint}; there are {', '.join(names)}")
-        number = names.index(one.phase) if one.phase else phased.first
+            raise ModelError(f"no phase '{phase.phase}'{hint}; there are {', '.join(names)}")
+        number = names.index(phase.phase) if phase.phase else phased.first
         system = phased.systems[number]
-        found.append(PhaseMode(number, system, _mode(system), phased))
-    return found
+        modes.append(PhaseMode(number, system, _mode(system), phased))
+    return modes
 
 
 def _mode(system: System) -> Mode:
-    return (_OFF,) * len(system.exact.names) if system.exact is not None else ()
+    return (_OFF,) * len(system.event_rows.names) if system.event_rows is not None else ()
 
 
 class PhaseMode(NamedTuple):
     """The system of a phase.
 
     Attributes:
-        number: Of the phase in the scene.
-        mode: Of rows that give way: all of them are off.
-        phased: The systems of all phases; None where a scene has none.
+        number: Index of the phase in the scene.
+        system: System of the phase.
+        mode: Mode of the unilateral rows, all of which are inactive.
+        phased: Systems of all phases; None where a scene has none.
     """
 
     number: int
@@ -77,17 +78,17 @@ class PhaseMode(NamedTuple):
 
     @property
     def demands(self) -> tuple[Check, ...]:
-        """What contacts that the phase holds have to keep."""
+        """Conditions that contacts held by the phase must satisfy."""
         if self.phased is None:
             return ()
-        found: tuple[Check, ...] = self.phased.phases[self.number].demands
-        return found
+        demands: tuple[Check, ...] = self.phased.phases[self.number].demands
+        return demands
 
 
-def started(scene: Scene, mode: PhaseMode) -> State:
-    """The consistent state near that in which the scene starts, in what is integrated.
+def consistent_start(scene: Scene, mode: PhaseMode) -> State:
+    """Return the consistent state nearest to the initial state of the scene, as integrated.
 
-    Forces of contacts that its phase holds are those of inputs that nobody knows yet.
+    Forces of contacts that its phase holds are not checked, since they depend on unknown inputs.
     """
     simulation, x = build_simulation(scene), scene.initial
     if mode.phased is None:
@@ -97,37 +98,37 @@ def started(scene: Scene, mode: PhaseMode) -> State:
     return mode.system.reduce(system.expand(alone.start(mode.phased.inward(x))))
 
 
-def simulation_of_phase(whole: Simulation, system: System, dt: float) -> Simulation:
-    """A simulation of one phase, without its guards."""
+def simulation_of_phase(simulation: Simulation, system: System, dt: float) -> Simulation:
+    """Return a simulation of one phase, without its guards."""
     free = system.with_loads(system.loads.watched_by(()))
-    return Simulation(free, whole.integrator, whole.stabilization, dt)
+    return Simulation(free, simulation.integrator, simulation.stabilization, dt)
 
 
-def linkages_of(
+def build_linkages(
     scene: Scene,
     task: PredictTask,
     modes: Sequence[PhaseMode],
     phases: Sequence[MotionPhase],
 ) -> list[Linkage]:
-    """What links the phases, and the end of the last one with the beginning.
+    """Build the linkages between phases, and of the last phase with the first one.
 
     Raises:
-        ModelError: A phase that does not lead to the next one.
+        ModelError: A phase does not lead to the next one.
     """
-    found = list["Linkage"]()
+    linkages = list["Linkage"]()
     for i in range(len(phases) - 1):
-        found.append(_linkage(scene, modes, phases, (i, i + 1), (), task))
+        linkages.append(_build_linkage(scene, modes, phases, (i, i + 1), (), task))
     is_cyclic = bool(task.periodic or task.symmetric)
     travel = [scene.robot.joint(name).q for name in task.travel]
     if is_cyclic and modes[-1].phased is not None:
         ends = len(phases) - 1, 0
-        found.append(_linkage(scene, modes, phases, ends, travel, task))
+        linkages.append(_build_linkage(scene, modes, phases, ends, travel, task))
     elif is_cyclic:
-        found.append(_equal_ends(task, phases))
-    return found
+        linkages.append(_equal_ends(task, phases))
+    return linkages
 
 
-def _linkage(
+def _build_linkage(
     scene: Scene,
     modes: Sequence[PhaseMode],
     phases: Sequence[MotionPhase],
@@ -136,29 +137,28 @@ def _linkage(
     task: PredictTask,
 ) -> Any:
     from mbd_ros.optimal_control.linkages import ResetLinkage
-    from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations, without_redundant_rows
     from mbd_ros.scene.runs.compiling import traced
 
-    one, other = (modes[i] for i in numbers)
-    if one.phased is None:
-        raise ModelError("several phases of a scene without phases; accepted: section phases")
-    way = _exit(one.phased, one.number, other.number)
+    before, after = (modes[i] for i in numbers)
+    if before.phased is None:
+        raise ModelError("the task has several phases, but the scene has no section phases")
+    exit_ = _find_exit(before.phased, before.number, after.number)
     joined = phases[numbers[0]], phases[numbers[1]]
-    striking, equations = way.reset.striking, None
+    striking, equations = exit_.reset.striking, None
     if striking is not None:
         names = list(phases[0].equations.equations.parameters)
         plain = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
-        equations = independent(plain, striking.reduce(scene.initial), middles(task))
-    return ResetLinkage(*joined, numbers, way, equations, travel, grip=task.grip)
+        equations = without_redundant_rows(plain, striking.reduce(scene.initial), midpoints(task))
+    return ResetLinkage(*joined, numbers, exit_, equations, travel, grip=task.grip)
 
 
-def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:
+def _find_exit(phased: PhasedSystem, number: int, following: int) -> Exit:
     phase = phased.phases[number]
-    for way in phase.exits:
-        if way.then == following:
-            found: Exit = way
-            return found
-    names = ", ".join(phased.phases[way.then].name for way in phase.exits) or "nothing"
+    for exit_ in phase.exits:
+        if exit_.then == following:
+            return exit_
+    names = ", ".join(phased.phases[exit_.then].name for exit_ in phase.exits) or "nothing"
     raise ModelError(
         f"phase {phase.name} does not lead to {phased.phases[following].name}, but to {names}"
     )
@@ -182,62 +182,64 @@ def _equal_ends(task: PredictTask, phases: Sequence[MotionPhase]) -> Any:
     return EqualEnds(phases[-1], phases[0], pairs, signs)
 
 
-def middles(task: PredictTask) -> Array:
-    """Values of the unknown numbers with which a motion begins."""
-    return np.array([sum(one) / 2.0 for one in task.parameters.values()])
+def midpoints(task: PredictTask) -> Array:
+    """Return the initial values of the parameters: the middles of their ranges."""
+    return np.array([sum(limits) / 2.0 for limits in task.parameters.values()])
 
 
-def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) -> Driven:
-    """The scene with what drives it.
+def add_drives(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) -> DrivenScene:
+    """Return the scene with inputs that drive it.
 
     Args:
-        by: `scene`: what it has; without any input an ideal drive in every independent joint.
+        by: `scene`: its own inputs; if it has none, an ideal drive in every independent joint.
             `joints`: these drives, and wrenches on free bases, in place of muscles and actuators.
-            `muscles`: the same beside its muscles, with smooth curves and rigid tendons.
-        bounded: Names of quantities with bounds; external wrenches among them drive the scene.
+            `muscles`: the same in addition to its muscles, with smooth curves and rigid tendons.
+        bounded: Names of quantities with bounds; external wrenches among them are inputs.
 
     Raises:
-        SceneError: There are no muscles, or nothing that drives.
+        SceneError: There are no muscles, or nothing drives the scene.
     """
-    own = [name for name in scene.inputs.slots if name not in scene.wrenches]
-    if by == "scene" and (own or driving_wrenches(scene, bounded)):
-        return Driven(scene)
-    names = [one.name for one in scene.robot.joints if one.name in scene.couplings.independent]
+    inputs = [name for name in scene.inputs.slots if name not in scene.wrenches]
+    if by == "scene" and (inputs or driving_wrenches(scene, bounded)):
+        return DrivenScene(scene)
+    independent = scene.couplings.independent
+    names = [joint.name for joint in scene.robot.joints if joint.name in independent]
     drives = [{"type": "ideal", "joints": names, "name": DRIVES}] if names else []
     if by == "scene" and not drives:
         raise SceneError(
-            f"{scene.name}: nothing drives it; accepted: actuators, external_wrenches that have "
+            f"{scene.name}: nothing drives the scene; give actuators, or external_wrenches with "
             "bounds in the task, or driven_by: joints"
         )
     if by == "scene":
-        return Driven(with_sections(scene, actuators=drives))
+        return DrivenScene(with_sections(scene, actuators=drives))
     if by == "muscles" and not scene.muscles:
-        raise SceneError(f"{scene.name}: driven_by: muscles: the scene has none")
+        raise SceneError(f"{scene.name}: driven_by: muscles: the scene has no muscles")
     muscles = smooth_entries(scene, {"tendon": "rigid"}) if by == "muscles" else None
-    given = scene.entries.get("external_wrenches") or {}
+    scene_wrenches = scene.entries.get("external_wrenches") or {}
     wrenches = {
-        _untaken(f"{one.name}{_RESIDUAL}", given): {"frame": one.frame}
-        for one in scene.robot.bases
+        _unique_name(f"{base.name}{_RESIDUAL}", scene_wrenches): {"frame": base.frame}
+        for base in scene.robot.bases
     }
-    found = with_sections(
+    with_drives = with_sections(
         scene,
         muscles=muscles,
         actuators=drives,
-        external_wrenches={**given, **wrenches} or None,
+        external_wrenches={**scene_wrenches, **wrenches} or None,
     )
-    return Driven(found, tuple(wrenches))
+    return DrivenScene(with_drives, tuple(wrenches))
 
 
-def _untaken(name: str, taken: Mapping[str, Any]) -> str:
-    """The name, numbered where a wrench of the scene has it."""
+def _unique_name(name: str, names: Mapping[str, Any]) -> str:
+    """Return a name, with a number if a wrench of the scene already has it."""
     numbered = (f"{name}_{number}" for number in itertools.count(2))
-    return next(one for one in itertools.chain([name], numbered) if one not in taken)
+    return next(n for n in itertools.chain([name], numbered) if n not in names)
 
 
-class Driven(NamedTuple):
-    """A scene with what drives it.
+class DrivenScene(NamedTuple):
+    """A scene with inputs that drive it.
 
     Attributes:
+        scene: The scene.
         residuals: Names of the wrenches that drive its free bases.
     """
 
@@ -246,8 +248,8 @@ class Driven(NamedTuple):
 
 
 def driving_wrenches(scene: Scene, bounded: Iterable[str]) -> tuple[str, ...]:
-    """Components of external wrenches that have bounds, as inputs are called."""
+    """Return the names of the components of external wrenches that have bounds."""
     names, patterns = scene.inputs.names, tuple(bounded)
     slots = (scene.inputs.slots[name] for name in scene.wrenches)
-    every = (name for one in slots for name in names[one.start : one.stop])
-    return tuple(name for name in every if any(fnmatchcase(name, key) for key in patterns))
+    components = (name for slot in slots for name in names[slot.start : slot.stop])
+    return tuple(name for name in components if any(fnmatchcase(name, key) for key in patterns))

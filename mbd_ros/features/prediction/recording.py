@@ -1,4 +1,4 @@
-"""A recorded motion with its loads: what a motion begins with and tracks."""
+"""A recorded motion with its loads, which is the guess and the reference of a prediction."""
 
 from __future__ import annotations
 
@@ -11,91 +11,97 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.kinematics.poses import configuration_of
-from mbd_ros.core.state import NANOSECOND, Array, Motion
+from mbd_ros.core.state import NANOSECOND, Array, Motion, have_same_bits
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.features.prediction.modes import Driven, driving_wrenches
+from mbd_ros.features.prediction.modes import DrivenScene, driving_wrenches
 from mbd_ros.features.prediction.task import PredictTask, RecordingTask
 from mbd_ros.files.table import MAIN, TIME, read_result
 from mbd_ros.methods.signals.opensim_splines import opensim_splines
 from mbd_ros.motion.external_loads import read_loads, wrench_at
 from mbd_ros.motion.recordings import Capture, read_capture, read_columns, read_motion, refuse_huge
-from mbd_ros.optimal_control.problem import GivenInputs, Goal, body_names
+from mbd_ros.optimal_control.problem import Goal, PrescribedInputs, body_names
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
 
-_DEGREE = 5  # of splines, as inverse dynamics takes them
+_DEGREE = 5  # of splines, as for inverse dynamics
 _DRIFT = 0.1  # of a step: a low-pass that resamples ends a little earlier
 _STEP = 1.0e-4  # s, of differences of orientations
-_SAMPLES = 501  # of a recording that a search begins with
-_SMOOTH = (".position", ".velocity")  # what has no kinks: splines; straight lines for the rest
+_SAMPLES = 501  # of a recording that serves as guess
+_SMOOTH = (".position", ".velocity")  # interpolated by splines, others by straight lines
 _FEWEST = 4  # samples of a spline
 
 
-def recorded(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recording | None]:
-    """The scene with the loads of a recording, and the task with its times.
+def add_recording(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recording | None]:
+    """Return the scene with the loads of a recording, the task with its times, and the recording.
 
     Raises:
-        DataError: A file that cannot be read, or does not fit the scene.
-        SceneError: Times that do not belong together.
+        DataError: A file cannot be read, or does not fit the scene.
+        SceneError: Times of task and recording do not fit.
     """
-    asked = task.recording
-    if asked is None:
+    recording_task = task.recording
+    if recording_task is None:
         return scene, task, None
     from mbd_ros.motion.external_loads import ExternalLoads
 
-    external = None if asked.external is None else ExternalLoads(scene, asked.external)
+    external = (
+        None if recording_task.external is None else ExternalLoads(scene, recording_task.external)
+    )
     scene = scene if external is None else external.scene
-    motion = _read(scene, asked)
+    motion = _read_motion(scene, recording_task)
     times = motion.stamps * NANOSECOND
     slack = _DRIFT * float(np.diff(times).min())
-    first, last = np.clip(asked.times or times[[0, -1]], times[0], times[-1]).tolist()
-    wanted = asked.times or (first, last)
-    if first >= last or max(abs(first - wanted[0]), abs(last - wanted[1])) > slack:
+    first, last = np.clip(recording_task.times or times[[0, -1]], times[0], times[-1]).tolist()
+    interval = recording_task.times or (first, last)
+    if first >= last or max(abs(first - interval[0]), abs(last - interval[1])) > slack:
         raise SceneError(
-            f"{task.source}: predict.recording.times: {wanted[0]:g} .. {wanted[1]:g} s, "
-            f"the motion {asked.motion} is at {times[0]:g} .. {times[-1]:g} s"
+            f"{task.source}: predict.recording.times: {interval[0]:g} .. {interval[1]:g} s is "
+            f"outside of the motion {recording_task.motion}, which lasts from {times[0]:g} to "
+            f"{times[-1]:g} s"
         )
     if external is not None:
         loads, loaded = external.at, tuple(scene.wrenches)
     else:
-        loads, loaded = _measured(scene, asked)
-    found = Recording(
+        loads, loaded = _measured_loads(scene, recording_task)
+    recording = Recording(
         *(first, last - first, _splines(scene, motion)),
         lambda at: loads(np.round(at / NANOSECOND).astype(np.int64)),
         *(loaded, tuple(external.remarks) if external else ()),
     )
-    return scene, _timed(task, found), found
+    return scene, _with_duration(task, recording), recording
 
 
-def _read(scene: Scene, asked: RecordingTask) -> Motion:
+def _read_motion(scene: Scene, recording_task: RecordingTask) -> Motion:
     robot = scene.robot
     names = [joint.name for joint in robot.joints]
-    found = read_motion(
-        asked.motion,
+    motion = read_motion(
+        recording_task.motion,
         names,
         required=scene.couplings.independent,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[robot.joint(name).q]),
     ).motion
-    if len(found.stamps) < 2:
-        raise DataError(f"{asked.motion}: one sample is no motion")
-    return found if asked.cutoff is None else _smooth(found, asked.cutoff)
+    if len(motion.stamps) < 2:
+        raise DataError(
+            f"{recording_task.motion}: the file has one sample, but a motion needs two or more"
+        )
+    return motion if recording_task.cutoff is None else _low_pass(motion, recording_task.cutoff)
 
 
-def _smooth(motion: Motion, cutoff: float) -> Motion:
-    """Positions and poses behind a low-pass; quaternions get their length again later."""
+def _low_pass(motion: Motion, cutoff: float) -> Motion:
+    """Return positions and poses after a low-pass; quaternions are normalized later."""
     known = np.isfinite(motion.position).all(axis=0)
     poses = [body.pose for body in motion.bodies]
-    found = opensim_splines(motion.stamps, np.hstack([motion.position[:, known], *poses]), cutoff)
-    first, *others = np.split(found.position, int(known.sum()) + 7 * np.arange(len(poses)), axis=1)
-    position = np.full((len(found.stamps), motion.position.shape[1]), np.nan)
+    smooth = opensim_splines(motion.stamps, np.hstack([motion.position[:, known], *poses]), cutoff)
+    cuts = int(known.sum()) + 7 * np.arange(len(poses))
+    first, *others = np.split(smooth.position, cuts, axis=1)
+    position = np.full((len(smooth.stamps), motion.position.shape[1]), np.nan)
     position[:, known] = first
     pairs = zip(motion.bodies, others, strict=True)
     bodies = tuple(body._replace(pose=pose, twist=None) for body, pose in pairs)
     return motion._replace(
-        stamps=found.stamps,
+        stamps=smooth.stamps,
         position=position,
         velocity=None,
         acceleration=None,
@@ -105,19 +111,23 @@ def _smooth(motion: Motion, cutoff: float) -> Motion:
     )
 
 
-def _measured(scene: Scene, asked: RecordingTask) -> tuple[Callable[..., Any], tuple[str, ...]]:
-    if asked.wrenches is None:
+def _measured_loads(
+    scene: Scene, recording_task: RecordingTask
+) -> tuple[Callable[..., Any], tuple[str, ...]]:
+    if recording_task.wrenches is None:
         return (lambda stamps: []), ()
-    samples, _ = read_loads(scene, asked.motion, asked.wrenches)
+    samples, _ = read_loads(scene, recording_task.motion, recording_task.wrenches)
+    file = str(recording_task.wrenches)
 
     def at(stamps: Any) -> list[Array]:
-        return [wrench_at(name, one, stamps) for name, one in samples.items()]
+        return [wrench_at(file, name, load, stamps) for name, load in samples.items()]
 
     return at, tuple(samples)
 
 
 def _splines(scene: Scene, motion: Motion) -> Callable[[Array], tuple[Array, Array, Array]]:
-    from scipy.interpolate import make_interp_spline  # only where there is a recording
+    """Return a function from times to configurations, velocities and accelerations."""
+    from scipy.interpolate import make_interp_spline  # only needed with a recording
 
     robot, times = scene.robot, motion.stamps * NANOSECOND
     k = min(_DEGREE, len(times) - 1)
@@ -135,7 +145,7 @@ def _splines(scene: Scene, motion: Motion) -> Callable[[Array], tuple[Array, Arr
             q[base.q] = configuration_of(robot, pose(at)).T
         return q
 
-    def whole(at: Array) -> tuple[Array, Array, Array]:
+    def motion_at(at: Array) -> tuple[Array, Array, Array]:
         q = configuration(at)
         v, a = np.zeros((2, robot.model.nv, len(at)))
         v[v_of], a[v_of] = angles(at, 1).T, angles(at, 2).T
@@ -144,51 +154,52 @@ def _splines(scene: Scene, motion: Motion) -> Callable[[Array], tuple[Array, Arr
         scene.couplings.expand(q, v, a)
         return q.T, v.T, a.T
 
-    return whole
+    return motion_at
 
 
 def _twists(base: Any, configuration: Callable[[Array], Array], at: Array) -> tuple[Array, Array]:
-    """Twist of a free body and its rate, in its own axes, shape (6, n) each."""
+    """Return the twist of a free body and its rate, in its own axes, shape (6, n) each."""
     from mbd_ros.optimal_control.phase_motion import BODY
 
     def pose(shift: float) -> Array:
-        found: Array = configuration(at + shift)[base.q].T
-        return found
+        poses: Array = configuration(at + shift)[base.q].T
+        return poses
 
-    before, here, after = (pose(way * _STEP) for way in (-1.0, 0.0, 1.0))
+    before, here, after = (pose(sign * _STEP) for sign in (-1.0, 0.0, 1.0))
     backward = np.array([BODY.difference(*pair) for pair in zip(before, here, strict=True)])
     forward = np.array([BODY.difference(*pair) for pair in zip(here, after, strict=True)])
     v = 0.5 * (forward + backward) / _STEP
     return v.T, ((forward - backward) / _STEP**2).T
 
 
-def _timed(task: PredictTask, found: Recording) -> PredictTask:
-    """The task with the duration of its recording."""
-    span = found.duration, found.duration
+def _with_duration(task: PredictTask, recording: Recording) -> PredictTask:
+    """Return the task with the duration of its recording."""
+    span = recording.duration, recording.duration
     phases = tuple(
-        replace(one, duration=span) if one.duration is None else one for one in task.phases
+        replace(phase, duration=span) if phase.duration is None else phase for phase in task.phases
     )
-    asked = [one.duration or span for one in phases]
-    low, high = (sum(one[i] for one in asked) for i in (0, 1))
-    slack = 1.0e-9 * (1.0 + found.duration)
-    if found.loaded and (high - low > slack or high > found.duration + slack):
+    durations = [phase.duration or span for phase in phases]
+    low, high = (sum(duration[i] for duration in durations) for i in (0, 1))
+    slack = 1.0e-9 * (1.0 + recording.duration)
+    if recording.loaded and (high - low > slack or high > recording.duration + slack):
         raise SceneError(
-            f"{task.source}: predict.duration: {low:g} .. {high:g} s, loads are recorded for a "
-            f"motion of {found.duration:g} s; accepted: a number up to that, or recording.times"
+            f"{task.source}: predict.duration: {low:g} .. {high:g} s does not fit the recorded "
+            f"loads, which last {recording.duration:g} s; give one number up to that, or "
+            "recording.times"
         )
     return replace(task, phases=phases)
 
 
 class Recording(NamedTuple):
-    """A recording of a motion.
+    """A recorded motion with its loads.
 
     Attributes:
-        begin: Where the motion begins in it [s].
-        duration: [s].
-        motion: Times [s] -> configurations, velocities and accelerations of all joints.
-        loads: Times [s] -> wrench of each load, in the order of `external_wrenches`.
-        loaded: Names of these loads.
-        remarks: What is odd about its files.
+        begin: Time in the recording at which the motion begins [s].
+        duration: Duration [s].
+        motion: Function from times [s] to configurations, velocities and accelerations.
+        loads: Function from times [s] to the wrench of each load.
+        loaded: Names of these loads, of `external_wrenches`.
+        remarks: Remarks on its files.
     """
 
     begin: float
@@ -199,54 +210,55 @@ class Recording(NamedTuple):
     remarks: tuple[str, ...] = ()
 
 
-def given_inputs(
-    driven: Driven,
+def prescribed_inputs(
+    driven_scene: DrivenScene,
     bounded: Iterable[str],
     recording: Recording | None,
     begin: float,
     duration: float,
-) -> GivenInputs:
-    """The loads of a phase; those that nobody measured are zero, but for those that drive.
+) -> PrescribedInputs:
+    """Return the prescribed loads of a phase.
+
+    Loads without a measurement are zero, unless they drive the scene.
 
     Args:
-        driven: The scene, and which of its wrenches drive its bases.
+        driven_scene: The scene, and which of its wrenches drive its bases.
         bounded: Names of quantities with bounds.
-        recording: With the loads; None for none.
-        begin: Of the phase [s].
-        duration: Of the phase [s].
+        recording: Recorded motion with the loads; None for none.
+        begin: Begin of the phase [s].
+        duration: Duration of the phase [s].
     """
-    names = [name for name in driven.scene.wrenches if name not in driven.residuals]
-    inputs, loaded = driven.scene.inputs, () if recording is None else recording.loaded
-    every = [
-        at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)
-    ]
-    free = set(driving_wrenches(driven.scene, bounded)) if recording is None else set[str]()
-    known = [i for i, at in enumerate(every) if inputs.names[at] not in free]
-    places = np.array(every, dtype=np.intp)[known]
-    kept: list[tuple[bytes, Array]] = []
+    names = [name for name in driven_scene.scene.wrenches if name not in driven_scene.residuals]
+    inputs, loaded = driven_scene.scene.inputs, () if recording is None else recording.loaded
+    slots = [inputs.slots[name] for name in names]
+    indices = [i for slot in slots for i in range(slot.start, slot.stop)]
+    free = set(driving_wrenches(driven_scene.scene, bounded)) if recording is None else set[str]()
+    known = [i for i, index in enumerate(indices) if inputs.names[index] not in free]
+    places = np.array(indices, dtype=np.intp)[known]
+    last: list[tuple[Array, Array]] = []  # shares, and the values there
 
     def at(shares: Array) -> Array:
-        key = shares.tobytes()
-        if not kept or kept[0][0] != key:
-            none = np.zeros((len(shares), 6))
-            given = dict.fromkeys(names, none)
+        if not last or not have_same_bits(last[0][0], shares):
+            zero = np.zeros((len(shares), 6))
+            wrenches = dict.fromkeys(names, zero)
             if recording is not None and loaded:
                 loads = recording.loads(begin + duration * shares)
-                given |= dict(zip(loaded, loads, strict=True))
-            whole = np.hstack([given[name] for name in names] or [none[:, :0]])
-            kept[:] = [(key, whole[:, known])]
-        return kept[0][1]
+                wrenches |= dict(zip(loaded, loads, strict=True))
+            columns = np.hstack([wrenches[name] for name in names] or [zero[:, :0]])
+            last[:] = [(shares.copy(), columns[:, known])]
+        return last[0][1]
 
-    return GivenInputs(places, at)
+    return PrescribedInputs(places, at)
 
 
 class References:
-    """What goals track, from files.
+    """References of tracking goals, from files.
 
     Args:
-        recording: Of the motion, whose clock all files have; None without one: each begins with
-            the motion then.
-        begin: Where the motion begins in the time of the scene [s].
+        recording: Recorded motion, whose clock all files share; None without one, so that each
+            file begins with the motion.
+        motion: File of the recorded motion; None without one.
+        begin: Time of the scene at which the motion begins [s].
     """
 
     def __init__(
@@ -259,45 +271,48 @@ class References:
         self._captures = dict[Path, Capture]()
 
     def __call__(self, goal: Goal, names: Sequence[str], times: Array) -> Array:
-        """What quantities should be, shape (len(names), len(times)), NaN where nothing is known.
+        """Return references, shape (len(names), len(times)), NaN where there are none.
 
         Args:
-            goal: Of type `tracking`.
-            times: [s].
+            goal: Goal of type `tracking`.
+            names: Names of the quantities.
+            times: Times [s].
 
         Raises:
-            DataError: A file that cannot be read, or none.
+            DataError: A file cannot be read, or there is none.
         """
         file = goal.options["file"] or self._motion
         if file is None:
-            raise DataError(f"goal {goal.name}: no file, and the task has no recording")
-        found = np.full((len(names), len(times)), np.nan)
+            raise DataError(
+                f"goal {goal.name}: there is no reference; give a file, or a recording in the task"
+            )
+        values = np.full((len(names), len(times)), np.nan)
         if file == self._motion and self._recording is not None:
-            self._of_motion(names, times, found)
-        left = [i for i, one in enumerate(found) if np.isnan(one).all()]
-        if left:
-            found[left] = self._of_columns(file, [names[i] for i in left], times)
-        left = [i for i, one in enumerate(found) if np.isnan(one).all()]
-        if left and any(names[i] in self._markers for i in left):
-            found[left] = self._of_markers(file, [names[i] for i in left], times)
-        return found
+            self._of_motion(names, times, values)
+        missing = [i for i, row in enumerate(values) if np.isnan(row).all()]
+        if missing:
+            values[missing] = self._of_columns(file, [names[i] for i in missing], times)
+        missing = [i for i, row in enumerate(values) if np.isnan(row).all()]
+        if missing and any(names[i] in self._markers for i in missing):
+            values[missing] = self._of_markers(file, [names[i] for i in missing], times)
+        return values
 
-    def since(self, begin: float) -> Callable[[Goal, Sequence[str], Array], Array]:
-        """The same for times since the beginning of a phase [s]."""
+    def shifted(self, begin: float) -> Callable[[Goal, Sequence[str], Array], Array]:
+        """Return the same function for times since the beginning of a phase [s]."""
         return lambda goal, names, times: self(goal, names, begin + times)
 
-    def _since(self, times: Array, first: float) -> Array:
-        """Times of a file."""
+    def _file_times(self, times: Array, first: float) -> Array:
+        """Return times in a file."""
         return times if self._recording is not None else times - self._begin + first
 
     @cached_property
     def _markers(self) -> dict[str, tuple[Marker, int]]:
-        every = [one for one in self._scene.sensors if isinstance(one, Marker)]
+        markers = [sensor for sensor in self._scene.sensors if isinstance(sensor, Marker)]
         axes = list(enumerate(Marker.components))
-        return {f"{one.name}.{axis}": (one, i) for one in every for i, axis in axes}
+        return {f"{m.name}.{axis}": (m, i) for m in markers for i, axis in axes}
 
-    def _of_motion(self, names: Sequence[str], times: Array, found: Array) -> None:
-        """Positions, velocities and accelerations of the recording."""
+    def _of_motion(self, names: Sequence[str], times: Array, values: Array) -> None:
+        """Write positions, velocities and accelerations of the recording into `values`."""
         assert self._recording is not None
         robot = self._scene.robot
         q, v, a = self._recording.motion(times)
@@ -311,32 +326,32 @@ class References:
             of |= dict(zip(body_names(base.name), columns, strict=True))
         for i, name in enumerate(names):
             if name in of:
-                found[i] = of[name]
+                values[i] = of[name]
 
     def _of_columns(self, file: Path, names: Sequence[str], times: Array) -> Array:
         robot = self._scene.robot
         joints = [joint.name for joint in robot.joints]
-        table = read_columns(file, (TIME, *names), joints, robot.sliding)
+        table = read_columns(file, (TIME, *names), joints, robot.prismatic_joints)
         if table is None:
-            raise DataError(f"{file}: a bag has no columns; accepted: a table")
-        at = self._since(times, float(table[0, 0]))
+            raise DataError(f"{file}: a bag has no columns to track; give a table")
+        at = self._file_times(times, float(table[0, 0]))
         pairs = zip(names, table.T[1:], strict=True)
-        return np.array([_between(name, table[:, 0], one, at) for name, one in pairs])
+        return np.array([_interpolate(name, table[:, 0], column, at) for name, column in pairs])
 
     def _of_markers(self, file: Path, names: Sequence[str], times: Array) -> Array:
         capture = self._capture(file)
         column = {label: i for i, label in enumerate(capture.labels)}
-        at = self._since(times, float(capture.times[0]))
-        found = np.full((len(names), len(times)), np.nan)
+        at = self._file_times(times, float(capture.times[0]))
+        values = np.full((len(names), len(times)), np.nan)
         for i, name in enumerate(names):
             if name not in self._markers:
                 continue
             marker, axis = self._markers[name]
             place = column.get(marker.title, column.get(marker.name))
             if place is not None:
-                values = capture.places[:, place, axis]
-                found[i] = _between(".position", capture.times, values, at)
-        return found
+                samples = capture.places[:, place, axis]
+                values[i] = _interpolate(".position", capture.times, samples, at)
+        return values
 
     def _capture(self, file: Path) -> Capture:
         if file not in self._captures:
@@ -344,36 +359,36 @@ class References:
         return self._captures[file]
 
 
-def _between(name: str, times: Array, values: Array, at: Array) -> Array:
-    """Values between samples, NaN in gaps and beyond the ends."""
+def _interpolate(name: str, times: Array, values: Array, at: Array) -> Array:
+    """Interpolate between samples; the result is NaN in gaps and beyond the ends."""
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(at), np.nan)
     if known.sum() >= _FEWEST and name.endswith(_SMOOTH):
         from scipy.interpolate import CubicSpline
 
-        found: Array = CubicSpline(times[known], values[known])(at)
+        between: Array = CubicSpline(times[known], values[known])(at)
     else:
-        found = np.interp(at, times[known], values[known])
+        between = np.interp(at, times[known], values[known])
     step = float(np.diff(times).max(initial=0.0))
     distance = np.abs(at[:, None] - times[known][None, :]).min(axis=1)
-    return np.where(distance <= 1.001 * step, found, np.nan)
+    return np.where(distance <= 1.001 * step, between, np.nan)
 
 
-def recorded_lines(quantities: Any, file: Path) -> dict[str, tuple[float, ...]]:
-    """A motion in a file as lines of a guess: quantity -> values at equal times.
+def guess_lines_from_file(quantities: Any, file: Path) -> dict[str, tuple[float, ...]]:
+    """Return a motion in a file as lines of a guess: quantity -> values at equally spaced times.
 
     Raises:
-        DataError: A file that cannot be read, that has no quantity of the motion, or huge numbers.
+        DataError: The file cannot be read, has no quantity of the motion, or has huge numbers.
     """
     table = read_result(file)[MAIN]
     places = np.linspace(table[TIME][0], table[TIME][-1], _SAMPLES)
-    found = {
+    lines = {
         name: tuple(np.interp(places, table[TIME], table[name]).tolist())
         for name in table
         if name in quantities.names and quantities.find(name)[0].letter in tuple("qvzu")
     }
-    if not found:
+    if not lines:
         raise DataError(f"{file}: no column of the motion, such as {quantities.names[0]}")
-    refuse_huge(str(file), tuple(found), *(table[name] for name in found))
-    return found
+    refuse_huge(str(file), tuple(lines), *(table[name] for name in lines))
+    return lines

@@ -1,4 +1,4 @@
-"""The inputs of a motion integrated again by an accurate method of the package."""
+"""Simulation of the inputs of a predicted motion by an accurate integrator."""
 
 from __future__ import annotations
 
@@ -18,92 +18,92 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation
 
 _SHARE = 1.0e-3  # of the error between nodes: what integration may add to it
-_LEAST = 1.0e-12  # tolerance of integration
-_MOST = 1.0e-7  # tolerance of integration
+_LEAST = 1.0e-12  # smallest tolerance of integration
+_MOST = 1.0e-7  # largest tolerance of integration
 
 
 class Replay(NamedTuple):
-    """How a simulation follows a motion.
+    """Deviation of a simulation from a predicted motion.
 
     Attributes:
         deviation: Largest difference at the end of positions, velocities and internal states,
-            relative to 1 + the largest value of each; NaN where there is no simulation.
-        why: Why there is none; empty where there is.
+            relative to 1 + the largest value of each; NaN without a simulation.
+        why: Reason why there is no simulation; empty where there is one.
     """
 
     deviation: float
     why: str = ""
 
 
-NOT_AGAIN = Replay(float("nan"), "not done for a last iterate")
+NOT_REPLAYED = Replay(float("nan"), "not done for a last iterate")
 
 
 def replay(
-    whole: Simulation,
+    scene_simulation: Simulation,
     modes: Sequence[PhaseMode],
     motions: Sequence[PhaseMotion],
     *,
     at_nodes: bool = False,
 ) -> Replay:
-    """Integrate the inputs of a motion, each phase from its beginning to its end.
+    """Simulate the inputs of a motion, each phase from its beginning to its end.
 
     Args:
-        whole: Of the scene, under the inputs of the motion.
-        modes: The systems of the phases.
-        motions: Of the phases.
-        at_nodes: From node to node instead: loads that were measured do not give way, and a motion
-            that leaves its plan by a rounding leaves it altogether.
+        scene_simulation: Simulation of the scene with the inputs of the motion.
+        modes: Systems of the phases.
+        motions: Motions of the phases.
+        at_nodes: Whether to start again at each node, for measured loads: since they do not
+            depend on the motion, a deviation by rounding would grow.
     """
     pairs = zip(modes, motions, strict=True)
-    found = [_phase_again(whole, *one, at_nodes=at_nodes) for one in pairs]
-    why = [one.why for one in found if one.why]
-    return Replay(max(one.deviation for one in found), "; ".join(why))
+    replays = [_replay_phase(scene_simulation, *pair, at_nodes=at_nodes) for pair in pairs]
+    reasons = [r.why for r in replays if r.why]
+    return Replay(max(r.deviation for r in replays), "; ".join(reasons))
 
 
-def _phase_again(
-    whole: Simulation, mode: PhaseMode, motion: PhaseMotion, *, at_nodes: bool
+def _replay_phase(
+    scene_simulation: Simulation, mode: PhaseMode, motion: PhaseMotion, *, at_nodes: bool
 ) -> Replay:
-    simulation = whole
+    simulation = scene_simulation
     if mode.phased is not None:  # without its guards: a phase ends at its time
-        system = whole.system.systems[mode.number]  # type: ignore[attr-defined]
-        simulation = simulation_of_phase(whole, system, motion.duration)
+        system = scene_simulation.system.systems[mode.number]  # type: ignore[attr-defined]
+        simulation = simulation_of_phase(scene_simulation, system, motion.duration)
     nodes = list(range(len(motion.mesh.knots))) if at_nodes else [0, len(motion.mesh.knots) - 1]
     worst = 0.0
     try:
         for pair in itertools.pairwise(nodes):
-            worst = max(worst, _from_node(simulation, mode, motion, pair))
+            worst = max(worst, _node_deviation(simulation, mode, motion, pair))
     except MbdError as error:
         return Replay(float("nan"), str(error))
     return Replay(worst)
 
 
-def _from_node(
+def _node_deviation(
     simulation: Simulation, mode: PhaseMode, motion: PhaseMotion, pair: tuple[int, int]
 ) -> float:
-    """How far a simulation from one node is off at another one."""
+    """Return the deviation of a simulation from one node at another node."""
     begin, end = motion.begin + motion.duration * motion.mesh.knots[list(pair)]
     x = simulation.system.expand(State(begin, *(motion.nodes[key][pair[0]] for key in "qvz")))
     last = x = x._replace(mode=mode.mode) if mode.mode else x
     with np.errstate(over="ignore", invalid="ignore"):
-        for at in simulation.run(x, end - begin):
-            last = at
+        for state in simulation.run(x, end - begin):
+            last = state
     return deviation(simulation, last, motion, pair[1])
 
 
-def simulation_of(
+def build_input_simulation(
     scene: Scene, motions: Sequence[PhaseMotion], error: float, samples: int = 1
 ) -> Simulation:
-    """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
+    """Build a simulation of a scene with the inputs of a motion, a thousand times as accurate.
 
     Args:
-        motions: Of the phases.
-        error: Between nodes, relative.
-        samples: How many of the longest phase it gives.
+        motions: Motions of the phases.
+        error: Relative error of the motion between nodes.
+        samples: Number of samples of the longest phase.
     """
     tolerance = min(max(_SHARE * error, _LEAST), _MOST)
     is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
-    word = "auto" if is_stiff else "plain"
-    solver = {"type": word} if scene.solver.tier == "auto" else None
+    kind = "auto" if is_stiff else "plain"
+    solver = {"type": kind} if scene.solver.tier == "auto" else None
     dt = max(motion.duration for motion in motions) / samples
     accurate = {"type": "dop853", "tolerance": tolerance}
     options = {"integrator": accurate, "dt": dt, "solver": solver}
@@ -111,11 +111,11 @@ def simulation_of(
 
 
 def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source]:
-    """The inputs of a motion as polynomials of the time, by name of the part."""
+    """Return the inputs of a motion as polynomials of time, by name of the part."""
     most = max(int(motion.mesh.degrees.max()) for motion in motions)
     pieces = [_pieces(motion, most) for motion in motions]
-    times = np.concatenate([one for one, _ in pieces])
-    coefficients = np.concatenate([one for _, one in pieces])
+    times = np.concatenate([begins for begins, _ in pieces])
+    coefficients = np.concatenate([values for _, values in pieces])
     return {
         name: Polynomials(times, coefficients[:, :, slots])
         for name, slots in scene.inputs.slots.items()
@@ -123,26 +123,27 @@ def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source
 
 
 def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
+    """Return times at which intervals begin, and coefficients (intervals, most, nu)."""
     mesh, first = motion.mesh, motion.mesh.first_points
-    found = np.zeros((mesh.intervals, most, motion.points["u"].shape[1]))
+    coefficients = np.zeros((mesh.intervals, most, motion.points["u"].shape[1]))
     for i, degree in enumerate(mesh.degrees.tolist()):
-        own = motion.points["u"][first[i] : first[i + 1]]
+        u = motion.points["u"][first[i] : first[i + 1]]
         h = motion.duration * mesh.widths[i]
         powers = mesh.scheme_of(degree).powers() / h ** np.arange(degree)[:, None]
-        found[i, :degree] = powers @ own
-    return motion.begin + motion.duration * mesh.knots[:-1], found
+        coefficients[i, :degree] = powers @ u
+    return motion.begin + motion.duration * mesh.knots[:-1], coefficients
 
 
 def deviation(simulation: Simulation, x: State, motion: PhaseMotion, node: int = -1) -> float:
-    """Largest relative difference of a state from a node of a motion, the last one by default."""
+    """Return the largest relative difference of a state from a node, by default the last one."""
     y, chart = simulation.system.reduce(x), simulation.system.chart
     end = {key: motion.nodes[key][node] for key in "qvz"}
-    off: dict[str, Array] = {
+    errors: dict[str, Array] = {
         "q": chart.difference(end["q"], y.q),
         "v": y.v - end["v"],
         "z": y.z - end["z"],
     }
     sizes = {key: 1.0 + np.abs(motion.nodes[key]).max(axis=0, initial=0.0) for key in ("v", "z")}
     sizes["q"] = np.ones(1) * (1.0 + np.abs(motion.nodes["q"]).max(initial=0.0))
-    worst: Any = [np.abs(off[key] / sizes[key]).max(initial=0.0) for key in "qvz"]
+    worst: Any = [np.abs(errors[key] / sizes[key]).max(initial=0.0) for key in "qvz"]
     return float(max(worst))

@@ -1,4 +1,4 @@
-"""The `predict` section of a task file: which motion is asked of a scene, and what is best."""
+"""The section `predict` of a task file: phases, bounds and goals of a predicted motion."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 
 Power = Annotated[int, Within(1, 10)]
-Seen = Any  # a name, a list of names, or names with weights
+Selection = Any  # a name of quantities, a list of names, or names with weights
 
 
-def _powers(of: Seen = None, power: Power = 2) -> dict[str, Any]:
+def _powers(of: Selection = None, power: Power = 2) -> dict[str, Any]:
     return {"of": of, "power": power}
 
 
-def _power(of: Seen = None, smoothing: Annotated[Positive, Unit("W")] = 0.1) -> dict[str, Any]:
+def _power(
+    of: Selection = None, smoothing: Annotated[Positive, Unit("W")] = 0.1
+) -> dict[str, Any]:
     return {"of": of, "smoothing": smoothing}
 
 
 def _metabolic(
-    of: Seen = None,
+    of: Selection = None,
     basal: bool = True,
     slow_twitch: Annotated[float, Within(0.0, 1.0), Unit("-")] = 0.5,
     specific_tension: Annotated[Positive, Unit("N/m^2")] = 2.5e5,
@@ -54,19 +56,19 @@ def _speed(of: str, target: Unlimited) -> dict[str, Any]:
     return {"of": of, "target": target}
 
 
-def _smoothness(of: Seen = None) -> dict[str, Any]:
+def _smoothness(of: Selection = None) -> dict[str, Any]:
     return {"of": of}
 
 
-def _tracking(of: Seen, file: str = "") -> dict[str, Any]:
+def _tracking(of: Selection, file: str = "") -> dict[str, Any]:
     return {"of": of, "file": file}
 
 
-def _integral(of: Seen, power: Power = 1, target: Unlimited = 0.0) -> dict[str, Any]:
+def _integral(of: Selection, power: Power = 1, target: Unlimited = 0.0) -> dict[str, Any]:
     return {"of": of, "power": power, "target": target}
 
 
-def _value(of: Seen, power: Power = 2, target: Unlimited = 0.0) -> dict[str, Any]:
+def _value(of: Selection, power: Power = 2, target: Unlimited = 0.0) -> dict[str, Any]:
     return {"of": of, "power": power, "target": target}
 
 
@@ -89,12 +91,12 @@ _KINDS: Mapping[str, Callable[..., dict[str, Any]]] = {
     "function": _function,
 }
 FREE = "free"
-_LASTS = "a number above 0, or [shortest, longest]"
+_DURATION_TEXT = "a number above 0, or [shortest, longest]"
 DrivenBy = Literal["scene", "joints", "muscles"]
 Scheme = Literal["gauss", "radau", "hermite_simpson"]
 Count = Annotated[int, Within(1, 10_000)]
 TOLERANCE = 1.0e-7  # of the error between nodes
-_OF_RECORDING = 1.0e-5  # which is measured less well than that
+_RECORDING_TOLERANCE = 1.0e-5  # the same beside a recording, which is less accurate than that
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,10 @@ class MeshTask:
     """The first mesh.
 
     Attributes:
-        degree: Points of an interval.
-        intervals: Of each phase; None for 10, or 25 a second of a recording.
-        refinements: How many times intervals are split at most.
+        scheme: Collocation scheme.
+        degree: Points per interval.
+        intervals: Intervals of each phase; None for 10, or 25 per second of a recording.
+        refinements: Largest number of refinements.
     """
 
     scheme: Scheme = "gauss"
@@ -115,31 +118,31 @@ class MeshTask:
 
 @dataclass(frozen=True)
 class PredictTask:
-    """A motion that is asked of a scene.
+    """A motion to be predicted.
 
     Attributes:
-        phases: What is asked of each phase, in the order of the motion.
-        start_free: Whether a state that `start` does not name is free, in place of that of the
-            scene.
-        periodic: Quantities that end as they begin; empty for none.
-        symmetric: Quantity at the end -> quantity at the beginning that has its value.
-        travel: Joints that go on where a motion repeats.
+        phases: Phases, in the order of the motion.
+        start_free: Whether the initial state is free where `start` does not name it; otherwise it
+            is that of the scene.
+        periodic: Quantities that have the same value at both ends; empty for none.
+        symmetric: Quantity at the end -> quantity at the beginning with the same value.
+        travel: Joints whose position does not repeat in a periodic motion.
         parameters: Unknown numbers of the scene and their ranges.
         mesh: The first mesh.
-        tolerance: Of the error between nodes, relative.
-        accuracy: Of the conditions of optimality.
-        grip: Share of the friction of contacts that phases hold which the motion may use.
+        tolerance: Relative tolerance of the error between nodes.
+        accuracy: Tolerance of the conditions of optimality.
+        grip: Share of the friction of held contacts that the motion may use.
         iterations: Largest number of iterations on a mesh.
-        guess: Quantity -> values at equal times; straight lines between them.
-        guess_file: Motion to begin with; None for straight lines.
-        starts: How many guesses are tried, the first one as given, the others at random.
-        continuation: Number of the scene -> values, the last one that of the motion.
-        muscles: Arguments of the smooth muscles in place of those of the scene; None where these
-            stay.
-        source: The file, for messages; empty without one.
-        recording: Of the motion; None without one.
-        driven_by: What drives the scene: what it has, ideal drives in all independent joints, or
-            these and its muscles.
+        guess: Quantity -> values at equally spaced times, with straight lines between them.
+        guess_file: Initial motion; None for straight lines.
+        starts: Number of guesses; the first one is the given guess, the others are random.
+        continuation: Number of the scene -> values; the last one is that of the motion.
+        muscles: Arguments of the smooth muscles that replace those of the scene; None where the
+            muscles of the scene remain.
+        source: Task file, for messages; empty without one.
+        recording: Recorded motion; None without one.
+        driven_by: What drives the scene: `scene` for its own inputs, `joints` for ideal drives in
+            all independent joints, `muscles` for these and its muscles.
     """
 
     phases: tuple[PhaseTask, ...]
@@ -165,14 +168,14 @@ class PredictTask:
 
 @dataclass(frozen=True)
 class PhaseTask:
-    """What is asked of a phase.
+    """A phase of the motion.
 
     Attributes:
-        phase: Name of a phase of the scene; empty where it has none.
-        duration: Shortest and longest [s]; None for that of the recording.
-        bounds: Quantity -> range, all the time.
-        start: The same at the beginning.
-        end: The same at the end.
+        phase: Name of a phase of the scene; empty where the scene has none.
+        duration: Shortest and longest duration [s]; None for that of the recording.
+        bounds: Quantity -> range at all times.
+        start: Quantity -> range at the beginning.
+        end: Quantity -> range at the end.
         goals: Terms of the cost.
     """
 
@@ -186,14 +189,14 @@ class PhaseTask:
 
 @dataclass(frozen=True)
 class RecordingTask:
-    """A recorded motion, and the loads that were measured with it.
+    """A recorded motion and the loads that were measured with it.
 
     Attributes:
-        motion: File of the motion: what goals track where they name no file, and the guess.
-        external: External loads of OpenSim, an .xml.
+        motion: File of the motion, which is the guess, and the reference of goals without a file.
+        external: File of external loads of OpenSim (.xml).
         wrenches: Table of the external wrenches of the scene.
-        times: First and last time that count [s]; None for all of the motion.
-        cutoff: Of the low-pass that the motion goes through [Hz]; None for none.
+        times: First and last time that are used [s]; None for the entire motion.
+        cutoff: Cutoff frequency of the low-pass for the motion [Hz]; None for none.
     """
 
     motion: Path
@@ -203,30 +206,30 @@ class RecordingTask:
     cutoff: float | None = None
 
 
-def build_task(site: Site, given: Any) -> PredictTask:
-    """The `predict` section of a task file.
+def build_task(site: Site, value: Any) -> PredictTask:
+    """Build the `predict` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names file, key and what is accepted.
     """
-    return predict_task(given, site.where, site.origin.name, site.origin.folder)
+    return predict_task(value, site.where, site.origin.name, site.origin.folder)
 
 
 def predict_task(
-    given: Any, where: str, source: str = "", folder: Path | None = None
+    value: Any, where: str, source: str = "", folder: Path | None = None
 ) -> PredictTask:
-    """The task of some entries.
+    """Build a task from the entries of its section.
 
     Args:
-        given: Entries by key, see `_task`.
-        where: File and key, for the messages.
-        source: The file; empty without one.
-        folder: From which files are looked for.
+        value: Entries by key, the keyword arguments of `_task`.
+        where: File and key, for messages.
+        source: Task file; empty without one.
+        folder: Folder to which names of files are relative.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names the key and what is accepted.
     """
-    task: PredictTask = schema.call(_task, given, where, where, source, folder or Path())
+    task: PredictTask = schema.call(_task, value, where, where, source, folder or Path())
     return task
 
 
@@ -257,36 +260,38 @@ def _task(
     driven_by: DrivenBy = "scene",
     muscles: Any = None,
 ) -> PredictTask:
-    track = recording_of(recording, f"{where}.recording", folder)
+    track = parse_recording(recording, f"{where}.recording", folder)
     if duration is None and not phases and track is None:
-        raise SceneError(f"{where}: key 'duration' is missing")
+        raise SceneError(
+            f"{where}: key 'duration' is missing; give a number or [shortest, longest]"
+        )
     if duration is not None and phases:
-        raise SceneError(f"{where}.duration: phases have their own; accepted: in each phase")
+        raise SceneError(f"{where}.duration: give the duration in each entry of phases instead")
     is_free = start == FREE or bool(periodic) or bool(symmetric) or track is not None
-    whole = PhaseTask(
+    motion = PhaseTask(
         "",
-        None if duration is None else duration_of(duration, f"{where}.duration"),
-        ranges(bounds or {}, f"{where}.bounds"),
-        {} if start is None or start == FREE else ranges(start, f"{where}.start"),
-        ranges(end or {}, f"{where}.end"),
-        goals_of(goals, f"{where}.goals", folder),
+        None if duration is None else parse_duration(duration, f"{where}.duration"),
+        parse_ranges(bounds or {}, f"{where}.bounds"),
+        {} if start is None or start == FREE else parse_ranges(start, f"{where}.start"),
+        parse_ranges(end or {}, f"{where}.end"),
+        parse_goals(goals, f"{where}.goals", folder),
     )
-    some = phases_of(phases, whole, f"{where}.phases", folder) if phases else (whole,)
-    if not any(one.goals for one in some):
-        raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
-    lines, file = guess_of(guess, f"{where}.guess", folder)
+    tasks = parse_phases(phases, motion, f"{where}.phases", folder) if phases else (motion,)
+    if not any(phase.goals for phase in tasks):
+        raise SceneError(f"{where}: key 'goals' is missing; give some, such as [{{type: effort}}]")
+    lines, file = parse_guess(guess, f"{where}.guess", folder)
     return PredictTask(
-        some,
+        tasks,
         is_free,
         _names(periodic, f"{where}.periodic"),
         dict(symmetric or {}),
         tuple(travel),
         {
-            key: open_range(one, f"{where}.parameters.{key}")
-            for key, one in (parameters or {}).items()
+            key: parse_open_range(entry, f"{where}.parameters.{key}")
+            for key, entry in (parameters or {}).items()
         },
         schema.call(MeshTask, dict(mesh or {}), f"{where}.mesh"),
-        (TOLERANCE if track is None else _OF_RECORDING) if tolerance is None else tolerance,
+        (TOLERANCE if track is None else _RECORDING_TOLERANCE) if tolerance is None else tolerance,
         accuracy,
         grip,
         iterations,
@@ -294,30 +299,33 @@ def _task(
         file,
         starts,
         {
-            key: _values(one, f"{where}.continuation.{key}")
-            for key, one in (continuation or {}).items()
+            key: _values(entry, f"{where}.continuation.{key}")
+            for key, entry in (continuation or {}).items()
         },
-        muscles_of(muscles, f"{where}.muscles"),
+        parse_muscles(muscles, f"{where}.muscles"),
         source,
         track,
         driven_by,
     )
 
 
-def recording_of(given: Any, where: str, folder: Path) -> RecordingTask | None:
-    """The recording of an entry.
+def parse_recording(value: Any, where: str, folder: Path) -> RecordingTask | None:
+    """Parse the entry `recording`: a file, or a mapping.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: The entry is wrong; the message names the key and what is accepted.
     """
-    if given is None:
+    if value is None:
         return None
-    if isinstance(given, str):
-        given = {"motion": given}
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected a file, or motion with external and times")
-    found: RecordingTask = schema.call(_recording, given, where, where, folder)
-    return found
+    if isinstance(value, str):
+        value = {"motion": value}
+    if not isinstance(value, dict):
+        raise SceneError(
+            f"{where}: expected a file, or a mapping with motion and optionally external, "
+            "wrenches, times and cutoff"
+        )
+    recording: RecordingTask = schema.call(_recording, value, where, where, folder)
+    return recording
 
 
 def _recording(
@@ -331,84 +339,90 @@ def _recording(
     cutoff: Annotated[float | None, Within(1.0e-3, 1.0e6), Unit("Hz")] = None,
 ) -> RecordingTask:
     if external is not None and wrenches is not None:
-        raise SceneError(f"{where}: external and wrenches say the same; accepted: one of them")
+        raise SceneError(
+            f"{where}: external and wrenches are two sources of the same loads; give one of them"
+        )
     names = {"motion": motion, "external": external, "wrenches": wrenches}
     files = {
         key: None if name is None else find_file(folder, name, f"{where}.{key}")
         for key, name in names.items()
     }
     assert files["motion"] is not None
-    span = None if times is None else open_range(times, f"{where}.times")
+    span = None if times is None else parse_open_range(times, f"{where}.times")
     return RecordingTask(files["motion"], files["external"], files["wrenches"], span, cutoff)
 
 
-def open_range(given: Any, where: str) -> Range:
-    """A range with some width."""
-    low, high = range_of(given, where)
+def parse_open_range(value: Any, where: str) -> Range:
+    """Parse a bounded range [low, high] with low < high."""
+    low, high = parse_range(value, where)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise SceneError(f"{where}: expected [low, high] with low < high, got {given}")
+        raise SceneError(f"{where}: expected [low, high] with low < high, got {value}")
     return low, high
 
 
-def range_of(given: Any, where: str) -> Range:
-    """A number, [low, high] with null for no bound, or `free`."""
-    if given == FREE:
+def parse_range(value: Any, where: str) -> Range:
+    """Parse a range: a number, [low, high] with null for no bound, or `free`."""
+    if value == FREE:
         return -math.inf, math.inf
-    if isinstance(given, list):
-        if len(given) != 2:
-            raise SceneError(f"{where}: expected a number or [low, high], got {given}")
+    if isinstance(value, list):
+        if len(value) != 2:
+            raise SceneError(f"{where}: expected a number or [low, high], got {value}")
         ends = (-math.inf, math.inf)
-        pairs = zip(given, ends, strict=True)
-        low, high = (end if one is None else schema.value(one, float, where) for one, end in pairs)
+        pairs = zip(value, ends, strict=True)
+        low, high = (
+            limit if bound is None else schema.value(bound, float, where) for bound, limit in pairs
+        )
         if low > high:
-            raise SceneError(f"{where}: lower bound {low:g} is above the upper one {high:g}")
+            raise SceneError(f"{where}: lower bound {low:g} is above upper bound {high:g}")
         return low, high
-    number = schema.value(given, float, where)
+    number = schema.value(value, float, where)
     return number, number
 
 
-def duration_of(given: Any, where: str) -> Range:
-    """Shortest and longest duration [s]."""
-    low, high = range_of(given, where)
+def parse_duration(value: Any, where: str) -> Range:
+    """Parse the shortest and the longest duration [s]."""
+    low, high = parse_range(value, where)
     if high == 0.0:
         raise SceneError(
-            f"{where}: a phase that lasts no time; accepted: above 0, or leave it out and let the "
-            "guard before it lead to the phase after it, with what both reset"
+            f"{where}: a duration must be above 0 s; leave such a phase out, and let the "
+            "guard before it lead to the phase after it, with both resets"
         )
     if not (low >= SMALLEST and high <= LARGEST):
-        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: {_LASTS}")
+        raise SceneError(
+            f"{where}: {low:g} .. {high:g} s is out of range; accepted is {_DURATION_TEXT}"
+        )
     return low, high
 
 
-def ranges(given: Any, where: str) -> dict[str, Range]:
-    """Quantity -> range."""
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected quantities with a number or [low, high] each")
-    return {str(key): range_of(one, f"{where}.{key}") for key, one in given.items()}
+def parse_ranges(value: Any, where: str) -> dict[str, Range]:
+    """Parse a mapping from quantities to ranges."""
+    if not isinstance(value, dict):
+        raise SceneError(f"{where}: expected quantities with a number or [low, high] for each")
+    return {str(key): parse_range(entry, f"{where}.{key}") for key, entry in value.items()}
 
 
-def phases_of(
-    given: Sequence[Any], motion: PhaseTask, where: str, folder: Path
+def parse_phases(
+    value: Sequence[Any], motion: PhaseTask, where: str, folder: Path
 ) -> tuple[PhaseTask, ...]:
-    """The phases of a list of entries.
+    """Parse the list `phases`.
 
     Args:
-        motion: What is asked of all of it: bounds that hold in all phases, where they do not say
-            otherwise, goals that count in all, ranges at its start and end.
-        where: File and key, for the messages.
-        folder: From which files are looked for.
+        motion: Entries of the entire motion: bounds of all phases, unless a phase has others,
+            goals that count in all phases, and ranges at start and end.
+        where: File and key, for messages.
+        folder: Folder to which names of files are relative.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names the key and what is accepted.
     """
-    found = list[PhaseTask]()
-    for i, entry in enumerate(given):
-        one: PhaseTask = schema.call(_phase, entry, f"{where}[{i}]", f"{where}[{i}]", folder)
-        bounds = {**motion.bounds, **one.bounds}
-        found.append(replace(one, bounds=bounds, goals=(*motion.goals, *one.goals)))
-    found[0] = replace(found[0], start={**motion.start, **found[0].start})
-    found[-1] = replace(found[-1], end={**motion.end, **found[-1].end})
-    return tuple(found)
+    tasks = list[PhaseTask]()
+    for i, entry in enumerate(value):
+        task: PhaseTask = schema.call(_phase, entry, f"{where}[{i}]", f"{where}[{i}]", folder)
+        bounds = {**motion.bounds, **task.bounds}
+        tasks.append(replace(task, bounds=bounds, goals=(*motion.goals, *task.goals)))
+    tasks[0] = replace(tasks[0], start={**motion.start, **tasks[0].start})
+    tasks[-1] = replace(tasks[-1], end={**motion.end, **tasks[-1].end})
+    return tuple(tasks)
 
 
 def _phase(
@@ -424,108 +438,107 @@ def _phase(
 ) -> PhaseTask:
     return PhaseTask(
         phase,
-        duration_of(duration, f"{where}.duration"),
-        ranges(bounds or {}, f"{where}.bounds"),
-        ranges(start or {}, f"{where}.start"),
-        ranges(end or {}, f"{where}.end"),
-        goals_of(goals, f"{where}.goals", folder),
+        parse_duration(duration, f"{where}.duration"),
+        parse_ranges(bounds or {}, f"{where}.bounds"),
+        parse_ranges(start or {}, f"{where}.start"),
+        parse_ranges(end or {}, f"{where}.end"),
+        parse_goals(goals, f"{where}.goals", folder),
     )
 
 
-def guess_of(
-    given: Any, where: str, folder: Path
+def parse_guess(
+    value: Any, where: str, folder: Path
 ) -> tuple[dict[str, tuple[float, ...]], Path | None]:
-    """Lines of a guess, or its file.
+    """Parse the entry `guess`: lines by quantity, or a file.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: The entry is wrong; the message names the key and what is accepted.
     """
-    if given is None:
+    if value is None:
         return {}, None
-    if isinstance(given, str):
-        return {}, find_file(folder, given, where)
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected a file, or quantities with values, got {given!r}")
-    return {str(key): _values(one, f"{where}.{key}") for key, one in given.items()}, None
+    if isinstance(value, str):
+        return {}, find_file(folder, value, where)
+    if not isinstance(value, dict):
+        raise SceneError(f"{where}: expected a file, or quantities with values, got {value!r}")
+    return {str(key): _values(entry, f"{where}.{key}") for key, entry in value.items()}, None
 
 
-def _values(given: Any, where: str) -> tuple[float, ...]:
-    """A number, or some in a list."""
-    listed = given if isinstance(given, list) else [given]
-    if not listed:
-        raise SceneError(f"{where}: expected a number or a list of them, got []")
-    return tuple(schema.value(listed, Sequence[float], where))
+def _values(value: Any, where: str) -> tuple[float, ...]:
+    """Parse a number, or a list of numbers."""
+    numbers = value if isinstance(value, list) else [value]
+    if not numbers:
+        raise SceneError(f"{where}: expected a number or a list of numbers, got []")
+    return tuple(schema.value(numbers, Sequence[float], where))
 
 
-def _names(given: Any, where: str) -> tuple[str, ...]:
-    if isinstance(given, bool):
-        return ("*.position", "*.velocity") if given else ()
-    return tuple(schema.value(given, Sequence[str], where))
+def _names(value: Any, where: str) -> tuple[str, ...]:
+    if isinstance(value, bool):
+        return ("*.position", "*.velocity") if value else ()
+    return tuple(schema.value(value, Sequence[str], where))
 
 
-def muscles_of(given: Any, where: str) -> Mapping[str, Any] | None:
-    """Arguments of the muscles in place of those of the scene; None where these stay.
+def parse_muscles(value: Any, where: str) -> Mapping[str, Any] | None:
+    """Parse the entry `muscles`: arguments of smooth muscles, or None without the entry.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: The entry is wrong; the message names the key and what is accepted.
     """
-    if given is None:
+    if value is None:
         return None
     entry = (
-        {"type": given}
-        if isinstance(given, str)
-        else schema.value(given, Mapping[str, Any], where)
+        {"type": value}
+        if isinstance(value, str)
+        else schema.value(value, Mapping[str, Any], where)
     )
     if entry.pop("type", None) != SMOOTH:
-        raise SceneError(f"{where}: accepted: {SMOOTH}, or {{type: {SMOOTH}, tendon: rigid}}")
+        raise SceneError(f"{where}: accepted are {SMOOTH} and {{type: {SMOOTH}, tendon: rigid}}")
     return entry
 
 
-def goals_of(given: Sequence[Any], where: str, folder: Path | None = None) -> tuple[Goal, ...]:
-    """The goals of a list of entries.
+def parse_goals(value: Sequence[Any], where: str, folder: Path | None = None) -> tuple[Goal, ...]:
+    """Parse the list `goals`.
 
     Args:
-        given: Entries with `type`, `weight`, `name` and the keys of that type.
-        where: File and key, for the messages.
-        folder: From which files are looked for.
+        value: Entries with `type`, `weight`, `name` and the keys of that type, or functions.
+        where: File and key, for messages.
+        folder: Folder to which names of files are relative.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: An entry is wrong; the message names the key and what is accepted.
     """
-    found = list[Goal]()
-    for i, entry in enumerate(given):
-        at = f"{where}[{i}]"
+    goals = list[Goal]()
+    for i, entry in enumerate(value):
         if callable(entry):
             entry = {"type": "function", "function": entry}
-        found.append(_goal(entry, at, folder, {goal.name for goal in found}))
-    return tuple(found)
+        goals.append(_parse_goal(entry, f"{where}[{i}]", folder, {goal.name for goal in goals}))
+    return tuple(goals)
 
 
-def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
+def _parse_goal(entry: Any, where: str, folder: Path | None, names: set[str]) -> Goal:
     if not isinstance(entry, dict):
-        raise SceneError(f"{where}: expected a mapping with type, got {entry!r}")
-    rest = {key: one for key, one in entry.items() if key not in ("type", "weight", "name")}
+        raise SceneError(f"{where}: expected a mapping with a type, got {entry!r}")
+    arguments = {k: v for k, v in entry.items() if k not in ("type", "weight", "name")}
     kind = entry.get("type")
     if not isinstance(kind, str) or kind not in _KINDS:
         raise SceneError(f"{where}.type: expected one of {', '.join(_KINDS)}, got {kind!r}")
     weight = schema.value(entry.get("weight", 1.0), float, f"{where}.weight")
-    options = schema.call(_KINDS[kind], rest, where)
+    options = schema.call(_KINDS[kind], arguments, where)
     name = str(entry.get("name", kind))
     number = 1
-    while name in taken:
+    while name in names:
         number += 1
         name = f"{entry.get('name', kind)}_{number}"
     _check_quantities(options.get("of"), f"{where}.of")
     if kind == "function" and not callable(options["function"]):
         path = schema.value(options["function"], str, f"{where}.function")
-        options["function"] = _function_of(path, f"{where}.function")
+        options["function"] = _import_function(path, f"{where}.function")
     if options.get("file"):
         options["file"] = find_file(folder or Path(), options["file"], f"{where}.file")
     return Goal(kind, weight, options, name)
 
 
 def _check_quantities(of: Any, where: str) -> None:
-    """Refuse what is neither a name, nor a list of names, nor names with weights."""
+    """Refuse entries that are neither a name, nor a list of names, nor names with weights."""
     if isinstance(of, dict):
         schema.value(of, Mapping[str, float], where)
     elif isinstance(of, list):
@@ -534,13 +547,13 @@ def _check_quantities(of: Any, where: str) -> None:
         schema.value(of, str, where)
 
 
-def _function_of(path: str, where: str) -> Callable[[Any], Any]:
+def _import_function(path: str, where: str) -> Callable[[Any], Any]:
     from mbd_ros.scene.schema.code_permission import require_permission
 
     require_permission(where, {"function": path})
     module, _, name = path.partition(":")
     try:
-        found: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
+        function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise SceneError(f"{where}: {path} cannot be imported: {error}") from error
-    return found
+    return function

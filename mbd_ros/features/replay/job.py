@@ -1,4 +1,4 @@
-"""A bag through the live node, which runs as its own process: `mbd-ros replay`.
+"""Replay of a bag through the live node in a process of its own: `mbd-ros replay`.
 
 The torques of the node are compared with a reference, joint by joint.
 """
@@ -52,71 +52,78 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 CLASSES = {JOINT_STATE: JointState, WRENCH: WrenchStamped, ODOMETRY: Odometry}
 _START_TIMEOUT = 30.0  # [s] until the node must be active
 _ANSWER_TIMEOUT = 2.0  # [s] without an answer, after which joint states count as lost
-_IN_FLIGHT = 100  # joint states; the node's queue is deeper
-_PATIENCE = 0.05  # s that a signal waits at most
+_IN_FLIGHT = 100  # joint states without an answer; the queue of the node is deeper
+_SPIN_TIME = 0.05  # s, longest delay of a signal
 _CLOCK_PERIOD = 10_000_000  # ns of the bag
-_DEEP = QoSProfile(depth=1000)  # nothing is lost in queues
+_DEEP = QoSProfile(depth=1000)  # so that no message is lost
 UNIT = "N·m or N"
 _STOP_TIMEOUT = 10.0  # [s] until the node must have ended
 _WRENCH_WAIT = 1.0  # s: better a late answer than one without its wrench
-_CLOCK_TOLERANCE = 1e10  # s: recorders and robots may live in different times
+_CLOCK_TOLERANCE = 1e10  # s, since clocks of recorder and robot may differ
 
 
 def replay(
-    asked: Replay, reference: str | None, skip: float, say: Callable[[str], None]
+    order: Replay,
+    reference: str | None = None,
+    skip: float = 0.5,
+    *,
+    say: Callable[[str], None],
 ) -> Result:
-    """Play a bag to the node and compare its torques.
+    """Play a bag to the node and compare its torques with those of a topic.
 
     Args:
-        asked: What to play and how.
-        reference: JointState topic of the bag to compare with; None: the one that is played.
-        skip: Time left out of the errors at the start [s].
-        say: Is told the numbers of messages and the table of errors, a line each.
+        order: The bag, and how it is played.
+        reference: JointState topic of the bag whose efforts are the reference. By default the
+            topic that is played.
+        skip: Time at the start that the errors leave out [s].
+        say: Called with the counts of messages and the table of errors, line by line.
 
     Returns:
-        As `compare`; metadata `played` and `answered` as well.
+        The result of `compare`, with the metadata `played` and `answered`.
     """
-    scene = load_scene(asked.scene)
-    played, answered = play(asked)
+    scene = load_scene(order.scene)
+    played, answered = play(order)
     say(f"{played} joint states played, {answered} answered, {played - answered} lost")
-    known = asked.bag, reference or asked.topic
+    known = order.bag, reference or order.topic
     joints, members = scene.couplings.independent, scene.robot.members
-    found = compare((asked.out, TORQUES), known, joints, skip, say, members)
-    inputs = {"bag": asked.bag, "rate": asked.rate, "cutoff": asked.cutoff, "skip": skip}
+    comparison = compare((order.out, TORQUES), known, joints, skip, say, members)
+    inputs = {"bag": order.bag, "rate": order.rate, "cutoff": order.cutoff, "skip": skip}
     metadata = metadata_of("replay", scene, {**inputs, "reference": known[1]}, {})
     counts = {"played": played, "answered": answered}
-    return Result(found.tables, {**metadata, **found.metadata, **counts, "stamps": "recorded"})
+    return Result(
+        comparison.tables, {**metadata, **comparison.metadata, **counts, "stamps": "recorded"}
+    )
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Order of a replay.
+    """A bag that is played to a node, and how.
 
     Attributes:
-        bag: Recording to play.
+        bag: Bag to play.
         scene: Scene of the node.
-        out: Bag of the answers of the node.
+        out: Bag for the output of the node.
         rate: Speed factor; 0 plays as fast as the node answers.
         topic: JointState topic of the bag.
-        cutoff: Half-power frequency of the node's derivative filters [Hz].
+        cutoff: Half-power frequency of the filters with which the node differentiates [Hz].
     """
 
     bag: Path
     scene: Path
     out: Path
-    rate: float
-    topic: str
-    cutoff: float
+    rate: float = 1.0
+    topic: str = "/joint_states"
+    cutoff: float = 5.0
 
 
 def play(replay: Replay) -> tuple[int, int]:
-    """Play a bag to the node and record the answers.
+    """Play a bag to the node and record its answers.
 
-    Both run on a DDS domain of their own, which never leaves this machine, under the time of the
-    bag. SIGTERM ends a replay as Ctrl-C does.
+    The node runs on a DDS domain of its own, which never leaves this machine, with the time of the
+    bag. SIGTERM ends a replay like Ctrl-C.
 
     Returns:
-        Numbers of joint states played and answered.
+        Numbers of played and of answered joint states.
 
     Raises:
         MbdError: The bag does not fit the scene, or the node does not start or fails.
@@ -146,29 +153,34 @@ def _check(replay: Replay) -> None:
     if not 0 <= replay.rate < math.inf:
         raise ReplayError(f"rate {replay.rate:g} must be finite and >= 0")
     if replay.out.resolve() == replay.bag.resolve():
-        raise ReplayError(f"{replay.out}: the output would replace the bag that is played")
+        raise ReplayError(
+            f"{replay.out}: the output would replace the bag that is played; choose another name"
+        )
 
 
 class ReplayError(MbdError):
-    """The replay cannot be what was asked for, or the node failed."""
+    """A replay is not possible, or the node failed."""
 
 
 def _motion_topics(scene: Scene, topic: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Topics of the bag that carry the motion, with their types, and the node's names of them.
+    """Return the topics of the bag with the motion and their types, and their names in the node.
 
     Args:
-        topic: Joint states of the only robot; the others are beside it.
+        scene: Scene of the node.
+        topic: Joint states of the only robot; topics of further robots are in its namespace.
     """
     topics, remapped = {}, {}
     named = by_member([joint.name for joint in scene.robot.joints], scene.robot.members)
     bodies = [base.name for base in scene.robot.bases]
     for member in named or ([] if bodies else [""]):
-        own = joint_state_topic(member)
-        there = beside(topic, own) if member else topic
-        topics[there], remapped[own] = JOINT_STATE, there
+        name = joint_state_topic(member)
+        in_bag = beside(topic, name) if member else topic
+        topics[in_bag] = JOINT_STATE
+        remapped[name] = in_bag
     for body in bodies:
-        own = odometry_topic(body)
-        topics[beside(topic, own)], remapped[own] = ODOMETRY, beside(topic, own)
+        name = odometry_topic(body)
+        topics[beside(topic, name)] = ODOMETRY
+        remapped[name] = beside(topic, name)
     return topics, remapped
 
 
@@ -191,10 +203,11 @@ def _node_process(
         "clock_tolerance": str(_CLOCK_TOLERANCE),
         "allow_code": str(is_permitted()).lower(),
     }
-    words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", *words]
-    for own, there in remapped.items():
-        command += ["-r", f"{own}:={there}"]
+    command = [sys.executable, "-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args"]
+    for name, value in parameters.items():
+        command += ["-p", f"{name}:={value}"]
+    for name, in_bag in remapped.items():
+        command += ["-r", f"{name}:={in_bag}"]
     process = subprocess.Popen(command, env=environment)
     try:
         yield process
@@ -219,84 +232,84 @@ def compare(
     say: Callable[[str], None],
     members: Collection[str] = (),
 ) -> Result:
-    """Compare two topics.
+    """Compare the efforts of two topics.
 
     Args:
         estimate: Bag and JointState topic of the torques.
-        reference: Bag and JointState topic of the true ones.
+        reference: Bag and JointState topic of the reference.
         joints: Joints to compare.
-        skip: Time left out at the start [s].
-        say: Is told the table of errors, a line each.
-        members: Names of robots in front of those of their joints, each of which has a topic of
-            true ones beside the reference.
+        skip: Time at the start that the errors leave out [s].
+        say: Called with the table of errors, line by line.
+        members: Names of robots before those of their joints; each has a topic in the namespace
+            of the reference.
 
     Returns:
-        Tables of `TorqueErrors`; metadata `overall`, and `overall_whole` without skipping.
+        Tables of `TorqueErrors`; metadata `overall`, and `overall_whole` without `skip`.
     """
     if not 0 <= skip < math.inf:
         raise DataError(f"skip {skip:g} s must be finite and >= 0")
-    judged = read_motion(estimate[0], joints, topic=estimate[1], required=()).motion
+    estimated = read_motion(estimate[0], joints, topic=estimate[1], required=()).motion
     known = read_motion(
         reference[0], joints, topic=reference[1], required=(), members=members
     ).motion
     if known.effort is None:
         say(f"{reference[0]}: no effort on {reference[1]}: nothing to compare with")
-    settled, whole = TorqueErrors(judged, known, skip), TorqueErrors(judged, known, 0.0)
-    overall = {"overall": settled.overall, "overall_whole": whole.overall}
-    result = Result(settled.tables(), {key: v for key, v in overall.items() if math.isfinite(v)})
+    errors = TorqueErrors(estimated, known, skip)
+    errors_with_start = TorqueErrors(estimated, known, 0.0)
+    overall = {"overall": errors.overall, "overall_whole": errors_with_start.overall}
+    result = Result(errors.tables(), {key: v for key, v in overall.items() if math.isfinite(v)})
     if known.effort is None:
         return result
     say(f"against the effort on {reference[1]}, without the first {skip:g} s:")
-    if not settled.samples:
-        say("no sample is left to compare")
+    if not errors.samples:
+        say("there is no sample to compare")
         return result
-    for line in settled.lines():
+    for line in errors.lines():
         say(line)
-    say(f"overall with the first {skip:g} s: {100 * whole.overall:.3f} %")
+    say(f"overall with the first {skip:g} s: {100 * errors_with_start.overall:.3f} %")
     return result
 
 
 class TorqueErrors:
-    """Root mean square errors of one recording of torques against another.
+    """Root mean square errors of the torques of a recording against those of another one.
 
-    The reference is interpolated to the stamps of the estimate; samples outside of it are left
-    out.
+    The reference is interpolated at the stamps of the estimate; samples outside of it are omitted.
 
     Args:
-        estimate: Recording whose efforts are judged.
-        reference: Recording of the same joints with the efforts to compare with.
-        skip: Time left out at the start, where filters and controllers settle [s].
+        estimate: Recording of the estimated efforts.
+        reference: Recording of the reference efforts of the same joints.
+        skip: Time at the start that is omitted, while filters and controllers settle [s].
 
     Attributes:
-        joints: Joints that the reference has.
-        rms_error: [N·m or N], shape (len(joints),).
-        rms_reference: [N·m or N], shape (len(joints),).
-        overall: Norm of all errors over norm of all references.
-        samples: Number of samples that are judged.
-        stamps: Theirs [ns], shape (samples,).
-        estimate: Their efforts [N·m or N], shape (samples, len(joints)).
-        known: Those of the reference, same shape.
+        joints: Joints that the reference contains.
+        rms_error: Errors of the joints [N·m or N], shape (len(joints),).
+        rms_reference: Reference efforts of the joints [N·m or N], shape (len(joints),).
+        overall: Norm of all errors over norm of all references [-].
+        samples: Number of compared samples.
+        stamps: Times of the samples [ns], shape (samples,).
+        estimate: Estimated efforts [N·m or N], shape (samples, len(joints)).
+        known: Reference efforts [N·m or N], shape (samples, len(joints)).
     """
 
     def __init__(self, estimate: Motion, reference: Motion, skip: float) -> None:
         columns = [i for i in range(len(estimate.names)) if _is_known(reference, i)]
         self.joints = tuple(estimate.names[i] for i in columns)
         begin = max(reference.stamps[0], estimate.stamps[0] + int(skip * 1e9))
-        judged = (estimate.stamps >= begin) & (estimate.stamps <= reference.stamps[-1])
-        stamps = estimate.stamps[judged]
+        is_compared = (estimate.stamps >= begin) & (estimate.stamps <= reference.stamps[-1])
+        stamps = estimate.stamps[is_compared]
         assert estimate.effort is not None
         known = np.empty((len(stamps), len(columns)))
         for i, column in enumerate(columns):
             known[:, i] = _interpolate(reference, column, stamps)
-        error = estimate.effort[judged][:, columns] - known
+        error = estimate.effort[is_compared][:, columns] - known
         self.samples, self.stamps = len(stamps), stamps
-        self.estimate, self.known = estimate.effort[judged][:, columns], known
+        self.estimate, self.known = estimate.effort[is_compared][:, columns], known
         self.rms_error, self.rms_reference = _rms(error), _rms(known)
         total = float(np.linalg.norm(known))
         self.overall = float(np.linalg.norm(error)) / total if total > 0 else float("inf")
 
     def lines(self) -> Iterator[str]:
-        """The table, a line each."""
+        """Yield the lines of the table."""
         yield f"{'joint':<28}{'rms error':>12}{'rms reference':>16}{'error':>10}"
         for name, error, reference in zip(
             self.joints, self.rms_error, self.rms_reference, strict=True
@@ -306,7 +319,7 @@ class TorqueErrors:
         yield f"overall {100 * self.overall:.3f} % (norm of errors over norm of references)"
 
     def tables(self) -> dict[str, Table]:
-        """`samples`: estimate, reference and error by time; `errors`: a row a joint."""
+        """Return `samples`: estimate, reference and error over time; `errors`: a row per joint."""
         kinds = {
             "effort": self.estimate,
             "reference": self.known,
@@ -342,17 +355,17 @@ def _rms(values: Array) -> Array:
 
 
 class BagPlayer:
-    """Publishes the messages of a bag in their rhythm and records the answers.
+    """Publisher of the messages of a bag at their times, which also records the answers.
 
     Args:
-        topics: Topics to publish, each with its type.
-        answers: Topics that the node answers every joint state on.
-        bag: Where the answers go.
-        process: The node.
-        check: Raises if the replay is to end; called often.
+        topics: Topics to publish and their types.
+        answers: Topics on which the node answers every joint state.
+        bag: Bag for the answers.
+        process: Process of the node.
+        check: Function that raises when the replay shall end; it is called often.
 
     Attributes:
-        played: Joint states published.
+        played: Number of published joint states.
     """
 
     def __init__(
@@ -363,8 +376,12 @@ class BagPlayer:
         process: subprocess.Popen[bytes],
         check: Callable[[], None],
     ) -> None:
-        self.played, self._lost, self._check = 0, 0, check
-        self._answers, self._bag, self._process = dict.fromkeys(answers, 0), bag, process
+        self.played = 0
+        self._lost = 0
+        self._check = check
+        self._answers = dict.fromkeys(answers, 0)
+        self._bag = bag
+        self._process = process
         self._state = self._health = ""
         node = rclpy.create_node("mbd_ros_replay")
         self._publishers = {
@@ -383,22 +400,23 @@ class BagPlayer:
 
     @property
     def answered(self) -> int:
-        """Joint states that were answered on every topic."""
+        """Number of joint states that were answered on every topic."""
         return min(self._answers.values())
 
     def wait_for_node(self) -> None:
-        """Until the node is active, hears every topic and is heard.
+        """Wait until the node is active and connected on every topic.
 
         Raises:
-            ReplayError: It does not start, which names the reason, or is not alone.
+            ReplayError: The node does not start (the message names the reason), or another
+                program publishes its topics.
         """
         deadline = time.monotonic() + _START_TIMEOUT
         while True:
-            self._spin(_PATIENCE)
+            self._spin(_SPIN_TIME)
             self._check_alone()
-            heard = all(p.get_subscription_count() for p in self._publishers.values())
-            hears = all(s.get_publisher_count() for s in self._subscriptions)
-            if self._state == "active" and heard and hears:
+            is_heard = all(p.get_subscription_count() for p in self._publishers.values())
+            has_answers = all(s.get_publisher_count() for s in self._subscriptions)
+            if self._state == "active" and is_heard and has_answers:
                 return
             if self._state == "unconfigured" or self._process.poll() is not None:
                 raise ReplayError(f"the node did not start: {self._health or 'it ended'}")
@@ -406,15 +424,16 @@ class BagPlayer:
                 raise ReplayError(f"the node did not start within {_START_TIMEOUT:g} s")
 
     def play(self, messages: Sequence[tuple[str, int, Any]], topic: str, rate: float) -> None:
-        """Publish everything, then wait for the last answers.
+        """Publish all messages, then wait for the last answers.
 
         Args:
-            messages: Topic, log time [ns] and message.
-            topic: The joint states among them.
+            messages: Topics, log times [ns] and messages.
+            topic: Topic of the joint states.
             rate: Speed factor; 0 plays as fast as the node answers.
 
         Raises:
-            ReplayError: The node ends, stops working, answers nothing, or is not alone.
+            ReplayError: The node ends, becomes inactive or does not answer, or another program
+                publishes its topics.
         """
         begin, first = time.monotonic(), messages[0][1]
         for name, log_time, message in progress(messages, len(messages), "replaying"):
@@ -441,8 +460,8 @@ class BagPlayer:
         self._check_alone()
         code = self._process.poll()
         if code is not None or self._state != "active":
-            what = f"is {self._state}" if code is None else f"ended with exit code {code}"
-            raise ReplayError(f"the node {what}: {self._health}")
+            state = f"is {self._state}" if code is None else f"ended with exit code {code}"
+            raise ReplayError(f"the node {state}: {self._health}")
 
     def _publish_clock(self, log_time: int) -> None:
         if log_time - self._clock_time >= _CLOCK_PERIOD or log_time < self._clock_time:
@@ -455,7 +474,7 @@ class BagPlayer:
         """Wait until at most `in_flight` joint states wait; one that waits too long is lost."""
         deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
         while self.played - self.answered - self._lost > in_flight:
-            self._spin(_PATIENCE)
+            self._spin(_SPIN_TIME)
             if self.answered > answered:
                 deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
             elif time.monotonic() > deadline:
@@ -468,7 +487,7 @@ class BagPlayer:
 
     def _until(self, due: float) -> None:
         while (left := due - time.monotonic()) > 0:
-            self._spin(min(left, _PATIENCE))
+            self._spin(min(left, _SPIN_TIME))
 
     def _spin(self, timeout: float) -> None:
         self._check()

@@ -1,6 +1,7 @@
-"""Chains in blocks: a block is a function of scene, task and its number, wherever it is done.
+"""Markov chains in blocks: a block depends only on scene, task and its number.
 
-Checkpoints say where the chains of a block stand: from there it goes on with the same bits.
+A block gives the same bits in any process. A checkpoint holds the states of the chains of a block,
+from which the block continues with the same bits.
 """
 
 from __future__ import annotations
@@ -35,33 +36,35 @@ from mbd_ros.features.sampling.sampled_scene import (
     row_swept,
     sampled_scene,
 )
-from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
+from mbd_ros.features.sampling.space import FixedCoordinateSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import progress
 from mbd_ros.jobs.workers.task import pack, unpack
 from mbd_ros.npz_file import read_arrays
 
-_KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
-_MOST_SWEEPS = 2**62  # that a block has done: more cannot be counted
-_LARGEST = 256  # chains of a block
-_FEWEST = 2  # blocks of a run
-_WISHED = 0.9  # acceptance
-_USUAL = 0.05  # step, in times that a particle of kT takes for the scale of the space
-_FIRST = 0.1  # the same, where the step is looked for
-_LOST = 0.025  # friction times the step
-_QUICK = 1.0  # gain with which a step is changed while it is looked for
-_FADING = 0.6  # exponent with which the gain falls
+_KEYS = ("q", "v", "sweeps", "dt")  # arrays of a checkpoint file, before the number of a block
+_MOST_SWEEPS = 2**62  # of a block; more cannot be counted
+_LARGEST_BLOCK = 256  # chains
+_FEWEST_BLOCKS = 2
+_ACCEPTANCE = 0.9  # target of the step
+_STEP = 0.05  # step over the time that a particle of energy kT takes for the scale of the space
+_FIRST_STEP = 0.1  # the same for the first step of the warm-up
+_FRICTION = 0.025  # friction times the step
+_GAIN = 1.0  # gain of the step adaptation
+_GAIN_DECAY = 0.6  # exponent with which the gain falls
 Measure = Callable[[Walkers], Array]  # shape (quantities, chains)
 _STEPS_OF_POINTS = 5  # from sample to sample
 _STEPS_OF_JOINTS = 20  # from sample to sample
-_WAY = 40  # steps in which a held quantity is brought to its value
+_PATH_STEPS = 40  # from the start of the scene to a value of the coordinate
 
 
-class Asked:
-    """A scene, a task for it, and all that both give.
+class SamplingProblem:
+    """A scene and a task, with the space, the quantities and the plan that they define.
 
     Args:
+        scene: The scene.
+        task: The task.
         where: File and key of the task, for messages.
 
     Raises:
@@ -79,11 +82,11 @@ class Asked:
         self.kT = kT
         if task.method == "langevin" and not self.sampled.space.has_constant_masses:
             raise SceneError(
-                f"{where}.method: langevin needs constant masses, those of a mechanism depend on "
-                "its configuration; accepted: metropolis"
+                f"{where}.method: langevin needs constant masses, but those of a mechanism "
+                "depend on its configuration; accepted: metropolis"
             )
         if task.kinetics and not self.sampled.points:
-            raise SceneError(f"{where}.kinetics: is for particles")
+            raise SceneError(f"{where}.kinetics: is accepted for particles only")
         self.quantities = self._quantities()
         self.coordinate = None
         if task.coordinate is not None:
@@ -99,35 +102,35 @@ class Asked:
 
     @property
     def energies(self) -> tuple[str, ...]:
-        """Names of the energies of a sample, which stand before its quantities."""
-        own = ["energy.potential", "energy.kinetic"]
+        """Names of the energies of a sample, which come before its quantities."""
+        names = ["energy.potential", "energy.kinetic"]
         if self.task.kinetics:
             parts = ("translation", "rotation", "internal")
             kinds = [kind.name for kind in self.sampled.space.kinds]
-            own += [f"{kind}.{part}" for kind in kinds for part in parts]
-            own += ["energy.kinetic_rattle", "energy.kinetic_shake"]
-        return tuple(own)
+            names += [f"{kind}.{part}" for kind in kinds for part in parts]
+            names += ["energy.kinetic_rattle", "energy.kinetic_shake"]
+        return tuple(names)
 
     @property
     def columns(self) -> list[tuple[str, str]]:
         """Names and units of all values of a sample."""
-        own = [(name, self.sampled.energy) for name in self.energies]
-        own += [(one.name, one.unit) for one in self.quantities]
+        columns = [(name, self.sampled.energy) for name in self.energies]
+        columns += [(quantity.name, quantity.unit) for quantity in self.quantities]
         if not self.sampled.points:
             positions = self.sampled.defaults
-            own += [
-                (f"{name}.velocity", f"{one.unit}/s")
-                for name, one in zip(self.sampled.space.names, positions, strict=True)
+            columns += [
+                (f"{name}.velocity", f"{position.unit}/s")
+                for name, position in zip(self.sampled.space.names, positions, strict=True)
             ]
-        return own
+        return columns
 
     def _quantities(self) -> tuple[Observable, ...]:
-        given = self.task.observe
-        if not given:
+        observe = self.task.observe
+        if not observe:
             return self.sampled.defaults
         where = f"{self.where}.observe"
         return tuple(
-            quantity(text, self.sampled, f"{where}.{name}", name) for name, text in given.items()
+            quantity(text, self.sampled, f"{where}.{name}", name) for name, text in observe.items()
         )
 
     def _coordinate(self, text: str) -> Observable:
@@ -135,118 +138,120 @@ class Asked:
         if self.sampled.points:
             swept = row_swept(self.sampled.space, text, self.sampled.length)
             if swept is not None:
-                found, space = swept
+                row, space = swept
                 self.sampled = replace(self.sampled, space=space)
-                return found
-        found = quantity(text, self.sampled, where)
+                return row
+        observable = quantity(text, self.sampled, where)
         if text.split()[0] not in DRIVEN and len(text.split()) > 1:
             raise SceneError(f"{where}: '{text}', accepted: {', '.join(DRIVEN)}")
         if self.sampled.points:
-            return found
+            return observable
         stops = [part.name for part in self.scene.constraints if not part.law.is_rigid]
         if stops:
             raise SceneError(
-                f"{where}: stops push beside the mean force; accepted: a scene without "
+                f"{where}: stops would add to the mean force; accepted: a scene without "
                 f"{', '.join(stops)}"
             )
-        (number,) = found.coordinates
-        return coordinate(found.name, found.unit, number)  # beyond one turn, too
+        (number,) = observable.coordinates
+        return coordinate(observable.name, observable.unit, number)  # beyond one turn, too
 
     def ensemble(self, level: float | None) -> Ensemble:
-        """The ensemble, with the coordinate held where a value is given."""
+        """Return the ensemble, with the coordinate fixed if a value is given."""
         if level is None:
             return Ensemble(self.sampled.space, self.kT, fixman=self.task.fixman)
         assert self.coordinate is not None
-        return Ensemble(HeldSpace(self._swept, self.coordinate, level), self.kT)
+        return Ensemble(FixedCoordinateSpace(self._swept, self.coordinate, level), self.kT)
 
-    def _instant(self, held: Ensemble, at: Walkers) -> Array:
+    def _instant(self, ensemble: Ensemble, at: Walkers) -> Array:
         space, fixman = self._swept, self.task.fixman
         if isinstance(space, WeightedSpace):
-            return np.array(instant(held, at, space.gradient(at.q), fixman=False))
-        return np.array(instant(held, at, -space.force(at.q), fixman=fixman))
+            return np.array(instant(ensemble, at, space.gradient(at.q), fixman=False))
+        return np.array(instant(ensemble, at, -space.force(at.q), fixman=fixman))
 
-    def done(self, order: Order) -> Sampled:
-        """A block of chains.
+    def sample_block(self, order: BlockOrder) -> SampledBlock:
+        """Sample a block of chains.
 
         Raises:
-            DivergedError: A step does not end on the rows.
-            SceneError: A held value cannot be reached.
+            DivergedError: A step does not end on the constraints.
+            SceneError: A value of the coordinate cannot be reached.
         """
         ensemble = self.ensemble(order.level)
         start = order.start
         if start is None:
             chains = blocks_of(self.plan.chains)[order.number]
             q = self._starts(ensemble, order, chains.stop - chains.start)
-            start = begun(ensemble, self.plan, order.number, q)
+            start = warm_up(ensemble, self.plan, order.number, q)
 
-        h = usual_step(ensemble) if self.plan.dt is None else self.plan.dt
+        h = default_step(ensemble) if self.plan.dt is None else self.plan.dt
 
         def measure(at: Walkers) -> Array:
             if order.level is not None:
                 return self._instant(ensemble, at)
-            own = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
+            values = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
             if self.task.kinetics:
-                own += [*self.sampled.space.kinetic_parts(at.q, at.v)]
-                own += [*kinetic_after_step(ensemble, at, h)]
-            own += [one.value(at.q) for one in self.quantities]
+                values += [*self.sampled.space.kinetic_parts(at.q, at.v)]
+                values += [*kinetic_after_step(ensemble, at, h)]
+            values += [quantity.value(at.q) for quantity in self.quantities]
             if not self.sampled.points:
-                own += [*self.sampled.space.velocities(at.q, at.v)]
-            return np.array(own)
+                values += [*self.sampled.space.velocities(at.q, at.v)]
+            return np.array(values)
 
-        found = gone_on(ensemble, self.plan, order.number, start, measure, _shown)
-        finite = np.isfinite(found.values).all(axis=(1, 2))
+        block = continue_chains(ensemble, self.plan, order.number, start, measure, _with_progress)
+        finite = np.isfinite(block.values).all(axis=(1, 2))
         if not finite.all():
             names = [name for name, _ in self.columns]
             odd = names[int(np.argmin(finite))] if order.level is None else "the mean force"
             raise DivergedError(f"{self.where}: {odd} of a sample is not finite")
-        return found
+        return block
 
-    def _starts(self, ensemble: Ensemble, order: Order, count: int) -> Array:
+    def _starts(self, ensemble: Ensemble, order: BlockOrder, count: int) -> Array:
         q = self.sampled.start
         if order.level is not None:
-            q = self._brought(ensemble, order.level)
+            q = self._start_at(ensemble, order.level)
         elif self.task.starts == "random":
             seed = (self.plan.seed + 7919 * (order.number + 1)) % 2**63
-            found = random_starts(ensemble, q, count, seed)
-            if not found.shape[1]:
-                raise SceneError(f"{self.where}.starts: no random configuration closes the rows")
-            return found[:, np.arange(count) % found.shape[1]]
+            starts = random_starts(ensemble, q, count, seed)
+            if not starts.shape[1]:
+                raise SceneError(
+                    f"{self.where}.starts: no random configuration satisfies the constraints"
+                )
+            return starts[:, np.arange(count) % starts.shape[1]]
         return np.repeat(q[:, None], count, axis=1)
 
-    def _brought(self, ensemble: Ensemble, level: float) -> Array:
-        """A configuration with a value of the held quantity, from the start of the scene."""
+    def _start_at(self, ensemble: Ensemble, level: float) -> Array:
+        """Return a configuration with a value of the coordinate, from the start of the scene."""
         assert self.coordinate is not None
         q = self.sampled.start[:, None]
         (rows,) = ensemble.space.blocks
         if len(independent(rows.jacobian(q)[:, :, 0])) < len(rows.rows):
             raise SceneError(
-                f"{self.where}.coordinate: rows of the scene hold {self.coordinate.name} already; "
+                f"{self.where}.coordinate: constraints of the scene fix {self.coordinate.name}; "
                 f"accepted: another quantity, or one of them: {', '.join(rows.rows[:-1])}"
             )
         first = float(self.coordinate.value(q)[0])
-        for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+        for share in np.linspace(0.0, 1.0, _PATH_STEPS + 1)[1:]:
             rows.level = first + share * (level - first)
             with np.errstate(all="ignore"):
-                q, found = ensemble.manifold.close(ensemble.manifold.at(q), q)
-            if not found.all():
+                q, is_closed = ensemble.manifold.close(ensemble.manifold.at(q), q)
+            if not is_closed.all():
                 raise SceneError(
-                    f"{self.where}.at: {self.coordinate.name} cannot be brought from {first:g} to "
-                    f"{level:g}: it stops near {rows.level:g}"
+                    f"{self.where}.at: {self.coordinate.name} cannot move from {first:g} to "
+                    f"{level:g}; it stops near {rows.level:g}"
                 )
         return q[:, 0]
 
 
-def _shown(samples: range) -> Iterable[int]:
+def _with_progress(samples: range) -> Iterable[int]:
     return progress(samples, len(samples), "sampling")
 
 
-class Order(NamedTuple):
-    """A block of chains that is asked for.
+class BlockOrder(NamedTuple):
+    """Order of a block of chains.
 
     Attributes:
-        number: Of the block among those of its value.
-        level: Value of the held quantity; None without one.
-        start: Where it goes on; None begins it.
+        number: Number of the block among those of its value.
+        level: Value of the coordinate; None without one.
+        start: Checkpoint from which it continues; None starts it.
     """
 
     number: int
@@ -255,16 +260,17 @@ class Order(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """How an ensemble is sampled.
+    """Numbers of a sampling run.
 
     Attributes:
         method: `metropolis` or `langevin`.
-        samples: Samples a chain.
-        warmup: Samples a chain before them, which are not kept.
+        chains: Number of chains.
+        samples: Samples of each chain.
+        warmup: Samples of each chain that are discarded before the others.
         steps: Steps between samples.
-        dt: Step; None: chosen, by `metropolis` so that most proposals are accepted.
-        friction: Rate of `langevin` at which velocities are forgotten; None: chosen.
-        seed: Of the random numbers, >= 0.
+        dt: Step; None chooses it, for `metropolis` so that most proposals are accepted.
+        friction: Rate at which `langevin` damps velocities; None chooses it.
+        seed: Seed of the random numbers, >= 0.
     """
 
     method: str = "metropolis"
@@ -278,51 +284,55 @@ class Plan(NamedTuple):
 
 
 def blocks_of(chains: int) -> list[slice]:
-    """The chains of each block; depends on nothing but their number."""
-    size = min(max(-(-chains // _FEWEST), 1), _LARGEST)
+    """Return the chains of each block, which depend only on the number of chains."""
+    size = min(max(-(-chains // _FEWEST_BLOCKS), 1), _LARGEST_BLOCK)
     return [slice(i, min(i + size, chains)) for i in range(0, chains, size)]
 
 
-def begun(ensemble: Ensemble, plan: Plan, number: int, q: Array) -> Checkpoint:
-    """A block of chains after its warm-up.
+def warm_up(ensemble: Ensemble, plan: Plan, number: int, q: Array) -> Checkpoint:
+    """Run the warm-up of a block of chains.
 
     Args:
-        plan: How it is sampled.
-        number: Of the block.
-        q: Starts on the rows, shape (size, chains of the block).
+        ensemble: The ensemble.
+        plan: Numbers of the run.
+        number: Number of the block.
+        q: Starts on the constraints, shape (size, chains of the block).
     """
     is_tuned = plan.method == "metropolis" and plan.dt is None
-    dt = usual_step(ensemble) * (_FIRST / _USUAL if is_tuned else 1.0)
+    dt = default_step(ensemble) * (_FIRST_STEP / _STEP if is_tuned else 1.0)
     method = method_of(ensemble, plan, dt if plan.dt is None else plan.dt)
     at = ensemble.at(q, np.zeros(q.shape))
-    at = at._replace(v=ensemble.drawn(stream(plan.seed, number, 0), at.places, q.shape[1]))
+    at = at._replace(
+        v=ensemble.draw_velocities(stream(plan.seed, number, 0), at.places, q.shape[1])
+    )
     steps = []
     for k in range(plan.warmup):
         at, accepted = method.sweep(at, stream(plan.seed, number, k + 1), plan.steps)
         if is_tuned:
             steps.append(method.dt)
-            method.dt *= exp(_QUICK * (accepted.mean() - _WISHED) / (1.0 + k) ** _FADING)
+            method.dt *= exp(_GAIN * (accepted.mean() - _ACCEPTANCE) / (1.0 + k) ** _GAIN_DECAY)
     if len(steps) >= 2:
         method.dt = exp(np.log(steps[len(steps) // 2 :]).mean())
     return Checkpoint(at.q, at.v, plan.warmup + 1, method.dt)
 
 
-def gone_on(
+def continue_chains(
     ensemble: Ensemble,
     plan: Plan,
     number: int,
     start: Checkpoint,
     measure: Measure,
     watch: Callable[[range], Iterable[int]] = iter,
-) -> Sampled:
-    """Samples of a block of chains from where it stands.
+) -> SampledBlock:
+    """Sample a block of chains from a checkpoint on.
 
     Args:
-        plan: How it is sampled.
-        number: Of the block.
-        start: Where it stands.
-        measure: What is kept of a sample.
-        watch: Passes the numbers of samples on, for people.
+        ensemble: The ensemble.
+        plan: Numbers of the run.
+        number: Number of the block.
+        start: Checkpoint of the block.
+        measure: Function that gives the values of a sample.
+        watch: Function that passes the numbers of samples on, to show progress.
     """
     method = method_of(ensemble, plan, start.dt)
     at, values = ensemble.at(start.q, start.v), []
@@ -332,30 +342,30 @@ def gone_on(
         values.append(measure(at))
         share += accepted
     end = Checkpoint(at.q, at.v, start.sweeps + plan.samples, start.dt)
-    return Sampled(np.stack(values, axis=2), share / plan.samples, end)
+    return SampledBlock(np.stack(values, axis=2), share / plan.samples, end)
 
 
 def method_of(ensemble: Ensemble, plan: Plan, dt: float) -> Langevin | Metropolis:
-    """The method of a plan with a step."""
+    """Return the sampling method of a plan, with a step."""
     if plan.method == "metropolis":
         return Metropolis(ensemble, dt)
-    friction = _LOST / dt if plan.friction is None else plan.friction
+    friction = _FRICTION / dt if plan.friction is None else plan.friction
     return Langevin(ensemble, dt, friction)
 
 
-def usual_step(ensemble: Ensemble) -> float:
-    """A step that is short beside the time in which a particle of kT moves by the scale."""
+def default_step(ensemble: Ensemble) -> float:
+    """Return a step much shorter than the time in which a particle of kT moves by the scale."""
     lightest = float(ensemble.space.mass.min())
-    return _USUAL * ensemble.space.scale * sqrt(lightest / ensemble.kT)
+    return _STEP * ensemble.space.scale * sqrt(lightest / ensemble.kT)
 
 
-class Sampled(NamedTuple):
-    """What a block of chains gave.
+class SampledBlock(NamedTuple):
+    """Samples of a block of chains.
 
     Attributes:
-        values: Shape (quantities, chains, samples).
-        accepted: Share of proposals, shape (chains,).
-        end: Where it stands.
+        values: Values of the quantities, shape (quantities, chains, samples).
+        accepted: Share of accepted proposals, shape (chains,).
+        end: Checkpoint at its end.
     """
 
     values: Array
@@ -364,13 +374,13 @@ class Sampled(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """Where a block of chains stands; from here it goes on with the same bits.
+    """States of a block of chains, from which it continues with the same bits.
 
     Attributes:
-        q: Shape (size, chains).
-        v: Shape (size, chains).
-        sweeps: How many were done.
-        dt: The step that is taken.
+        q: Configurations, shape (size, chains).
+        v: Velocities, shape (size, chains).
+        sweeps: Number of sweeps so far.
+        dt: Step.
     """
 
     q: Array
@@ -380,10 +390,10 @@ class Checkpoint(NamedTuple):
 
 
 def write_checkpoint(path: Path, blocks: Sequence[Checkpoint]) -> None:
-    """Write where all blocks of a run stand, as a .npz.
+    """Write the checkpoints of all blocks of a run to a .npz.
 
     Raises:
-        DataError: A place that cannot be written to.
+        DataError: The file cannot be written.
     """
     arrays = {
         f"{key}{i}": np.asarray(value)
@@ -395,20 +405,23 @@ def write_checkpoint(path: Path, blocks: Sequence[Checkpoint]) -> None:
 
 
 def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkpoint]:
-    """Where all blocks of a run stand.
+    """Read the checkpoints of all blocks of a run.
 
     Args:
-        sizes: Coordinates and chains of each block of the run that goes on.
+        path: File of the checkpoints.
+        sizes: Coordinates and chains of each block of the run that continues.
 
     Raises:
-        DataError: It cannot be read, or is that of another scene or another number of chains.
+        DataError: The file cannot be read, or belongs to another scene or number of chains.
     """
-    found = read_arrays(path, "a checkpoint of mbd-ros sample")
+    arrays = read_arrays(path, "a checkpoint of mbd-ros sample")
     blocks = []
     for i, size in enumerate(sizes):
-        if any(f"{key}{i}" not in found for key in _KEYS):
-            raise DataError(f"{path}: has no block {i + 1} of {len(sizes)}: another run's")
-        q, v, sweeps, dt = (found[f"{key}{i}"] for key in _KEYS)
+        if any(f"{key}{i}" not in arrays for key in _KEYS):
+            raise DataError(
+                f"{path}: has no block {i + 1} of {len(sizes)}; it belongs to another run"
+            )
+        q, v, sweeps, dt = (arrays[f"{key}{i}"] for key in _KEYS)
         if q.ndim == v.ndim == 2 and not q.shape == v.shape == size:
             raise DataError(
                 f"{path}: {q.shape[0]} coordinates of {q.shape[1]} chains, this run has "
@@ -432,32 +445,32 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
         if not (dt > 0.0 and 0 <= sweeps < _MOST_SWEEPS):
             raise DataError(f"{path}: sweeps{i} is {sweeps} and dt{i} is {dt}, accepted: above 0")
         blocks.append(Checkpoint(q.astype(float), v.astype(float), int(sweeps), float(dt)))
-    if len(found) != len(_KEYS) * len(sizes):
-        raise DataError(f"{path}: is of a run with more chains")
+    if len(arrays) != len(_KEYS) * len(sizes):
+        raise DataError(f"{path}: belongs to a run with more chains")
     return blocks
 
 
-def packed_block(done: Sampled) -> dict[str, Any]:
-    """What a block of chains gave, as JSON holds it to the bit."""
+def pack_block(block: SampledBlock) -> dict[str, Any]:
+    """Return a sampled block as JSON values, to the bit."""
     return {
-        "values": pack(done.values),
-        "accepted": pack(done.accepted),
-        "end": packed_checkpoint(done.end),
+        "values": pack(block.values),
+        "accepted": pack(block.accepted),
+        "end": pack_checkpoint(block.end),
     }
 
 
-def unpacked_block(value: Mapping[str, Any]) -> Sampled:
-    """What it was made of."""
+def unpack_block(value: Mapping[str, Any]) -> SampledBlock:
+    """Return the block of `pack_block`."""
     values, accepted = (unpack(value[key]) for key in ("values", "accepted"))
-    return Sampled(values, accepted, unpacked_checkpoint(value["end"]))
+    return SampledBlock(values, accepted, unpack_checkpoint(value["end"]))
 
 
-def packed_checkpoint(one: Checkpoint) -> list[Any]:
-    """Where a block of chains stands, as JSON holds it to the bit."""
-    return [pack(one.q), pack(one.v), one.sweeps, one.dt]
+def pack_checkpoint(checkpoint: Checkpoint) -> list[Any]:
+    """Return a checkpoint as JSON values, to the bit."""
+    return [pack(checkpoint.q), pack(checkpoint.v), checkpoint.sweeps, checkpoint.dt]
 
 
-def unpacked_checkpoint(listed: Sequence[Any]) -> Checkpoint:
-    """What it was made of."""
-    q, v, sweeps, dt = listed
+def unpack_checkpoint(values: Sequence[Any]) -> Checkpoint:
+    """Return the checkpoint of `pack_checkpoint`."""
+    q, v, sweeps, dt = values
     return Checkpoint(unpack(q), unpack(v), sweeps, dt)

@@ -88,13 +88,13 @@ def _clouds(
     at = flat.at(starts, np.zeros(starts.shape))
     step = _SHORT * flat.space.scale * float(np.sqrt(flat.space.mass.min()))
     method = Metropolis(flat, step)
-    found, visited = [], []
+    values, visited = [], []
     for k in range(_SWEEPS):
         at, _ = method.sweep(at, stream(seed, _STREAM, k + 1), _STEPS)
         if k >= _SWEEPS - _KEPT:
-            found.append([feature.value(at.q) for feature in features])
+            values.append([feature.value(at.q) for feature in features])
             visited.append(at.q)
-    return np.array(found).transpose(2, 0, 1).reshape(chains, _KEPT, -1), np.array(visited)
+    return np.array(values).transpose(2, 0, 1).reshape(chains, _KEPT, -1), np.array(visited)
 
 
 def _groups(
@@ -106,7 +106,7 @@ def _groups(
     """
     spread = clouds.reshape(-1, clouds.shape[2]).std(axis=0)
     used = spread > 1.0e-9 * max(float(spread.max()), 1.0e-300)
-    kept, spread = [f for f, use in zip(features, used, strict=True) if use], spread[used]
+    informative, spread = [f for f, use in zip(features, used, strict=True) if use], spread[used]
     scaled = clouds[:, :, used] / spread
     group = np.full(len(clouds), -1)
     while (group < 0).any():
@@ -117,21 +117,23 @@ def _groups(
             pairs = [_nearest(scaled, int(other), grown) for other in others]
             a, b = np.concatenate(pairs, axis=1)
             start, end = (at[i % _KEPT, :, i // _KEPT].T for i in (a, b))
-            joins = arrives(flat, start, end, kept, spread).reshape(len(others), -1).any(axis=1)
+            joins = (
+                arrives(flat, start, end, informative, spread).reshape(len(others), -1).any(axis=1)
+            )
             group[others[joins]] = first
             grown = others[joins].tolist()
     return group
 
 
-def _nearest(scaled: Array, one: int, others: Sequence[int]) -> Array:
+def _nearest(scaled: Array, probe: int, others: Sequence[int]) -> Array:
     """Pairs of samples of a probe and of others, near ones and less near ones, (2, walks)."""
     every = np.concatenate([other * _KEPT + np.arange(_KEPT) for other in others])
     flat = scaled.reshape(-1, scaled.shape[2])[every]
-    apart = _apart(scaled[one], flat)
+    apart = _apart(scaled[probe], flat)
     nearest = np.argmin(apart, axis=1)
     order = np.argsort(apart[np.arange(_KEPT), nearest])
     chosen = order[np.linspace(0, _KEPT // 2, _WALKS).astype(int)]
-    return np.array([one * _KEPT + chosen, every[nearest[chosen]]])
+    return np.array([probe * _KEPT + chosen, every[nearest[chosen]]])
 
 
 def _apart(a: Array, b: Array) -> Array:
@@ -158,20 +160,20 @@ def arrives(
         end: Configurations with the features that are looked for.
         spread: Their usual size, > 0.
     """
-    wanted = np.array([one.value(end) for one in features]) / spread[:, None]
+    wanted = np.array([feature.value(end) for feature in features]) / spread[:, None]
     q, longest = start, _LONGEST * ensemble.space.scale
     there, walks = np.zeros(start.shape[1], dtype=np.bool_), np.arange(start.shape[1])
     with np.errstate(all="ignore"):
         for _ in range(_WALK_STEPS):
-            left = wanted - np.array([one.value(q) for one in features]) / spread[:, None]
+            left = wanted - np.array([feature.value(q) for feature in features]) / spread[:, None]
             is_there = np.abs(left).max(axis=0) < _ARRIVED
             there[walks[is_there]] = True
             goes = ~is_there
             q, wanted, left, walks = q[:, goes], wanted[:, goes], left[:, goes], walks[goes]
             if not len(walks):
                 break
-            q, found = _stepped(ensemble, q, left, features, spread, longest)
-            q, wanted, walks = q[:, found], wanted[:, found], walks[found]
+            q, is_good = _stepped(ensemble, q, left, features, spread, longest)
+            q, wanted, walks = q[:, is_good], wanted[:, is_good], walks[is_good]
     return there
 
 
@@ -183,26 +185,26 @@ def _stepped(
     spread: Array,
     longest: float,
 ) -> tuple[Array, Marks]:
-    """A step of Gauss and Newton along the rows, and where there is one."""
+    """Take a Gauss-Newton step along the constraints; also return whether it is possible."""
     manifold = ensemble.manifold
     places = manifold.at(q)
-    slopes = np.array([manifold.project(places, one.gradient(q)) for one in features])
+    slopes = np.array([manifold.project(places, feature.gradient(q)) for feature in features])
     slopes /= spread[:, None, None]
     inverse = np.linalg.pinv(np.nan_to_num(slopes).transpose(2, 0, 1), rcond=_WEAK)
     step = manifold.project(places, np.einsum("bik,kb->ib", inverse, left))
     size = np.abs(step).max(axis=0)
     step *= np.minimum(1.0, longest / np.maximum(size, 1.0e-300))
-    there, found = manifold.close(places, q + step)
+    there, is_good = manifold.close(places, q + step)
     bent = np.abs(there - q - step).max(axis=0)
-    found &= bent <= _STRAIGHT * np.minimum(size, longest)
-    return there, found & np.isfinite(ensemble.space.potential(there))
+    is_good &= bent <= _STRAIGHT * np.minimum(size, longest)
+    return there, is_good & np.isfinite(ensemble.space.potential(there))
 
 
 def _wall(
-    clouds: Array, group: NDArray[np.intp], one: int, other: int, features: Sequence[Observable]
+    clouds: Array, group: NDArray[np.intp], probe: int, other: int, features: Sequence[Observable]
 ) -> str:
-    """What tells two components apart."""
-    a = clouds[group == one].reshape(-1, clouds.shape[2])
+    """Describe the feature that separates two components."""
+    a = clouds[group == probe].reshape(-1, clouds.shape[2])
     b = clouds[group == other].reshape(-1, clouds.shape[2])
     spread = np.maximum(np.concatenate((a, b)).std(axis=0), 1.0e-300)
     above, below = (
@@ -242,14 +244,14 @@ def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
     """
     random, space = stream(seed, _STREAM, 0), ensemble.space
     far = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
-    found: Marks = np.zeros(count, dtype=np.bool_)
+    is_closed: Marks = np.zeros(count, dtype=np.bool_)
     with np.errstate(all="ignore"):
         for _ in range(_TRIES):
             places = ensemble.manifold.at(far)
-            far, found = ensemble.manifold.close(places, far)
-            if found.all():
+            far, is_closed = ensemble.manifold.close(places, far)
+            if is_closed.all():
                 break
             again = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
-            far = np.where(found, far, again)
-        found = found & np.isfinite(space.potential(far))
-    return far[:, found]
+            far = np.where(is_closed, far, again)
+        is_closed = is_closed & np.isfinite(space.potential(far))
+    return far[:, is_closed]

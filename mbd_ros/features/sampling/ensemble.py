@@ -59,48 +59,52 @@ class Ensemble:
         energy: Array = 0.5 * (self._mass * v * v).sum(axis=0)
         return energy
 
-    def drawn(self, random: np.random.Generator, places: list[Place], chains: int) -> Array:
-        """Velocities at random, shape (size, chains)."""
+    def draw_velocities(
+        self, random: np.random.Generator, places: list[Place], chains: int
+    ) -> Array:
+        """Draw random velocities along the constraints, shape (size, chains)."""
         v = self._spread * random.standard_normal((self.space.size, chains))
         return self.manifold.project(places, v)
 
     def at(self, q: Array, v: Array) -> Walkers:
-        """States of chains; velocities are along the rows already."""
+        """Return states of chains, whose velocities are along the constraints already."""
         places = self.manifold.at(q)
-        whole = np.ones(q.shape[1], dtype=np.bool_)
-        return Walkers(q, v, places, self.force(q, places), whole)
+        is_closed = np.ones(q.shape[1], dtype=np.bool_)
+        return Walkers(q, v, places, self.force(q, places), is_closed)
 
     def kick(self, at: Walkers, h: float) -> Walkers:
-        """Forces for a time; velocities stay along the rows."""
+        """Apply forces for a time h; velocities stay along the constraints."""
         v = self.manifold.project(at.places, at.v + (h / self._mass) * at.force)
         return at._replace(v=v)
 
     def move(self, at: Walkers, h: float) -> Walkers:
-        """A step along the rows without forces: to q + h v - D s, where the rows are closed."""
-        q, whole = self.manifold.close(at.places, at.q + h * at.v)
+        """Move along the constraints without forces, to q + h v - D s, which closes them."""
+        q, is_closed = self.manifold.close(at.places, at.q + h * at.v)
         places, v = self.manifold.at(q), (q - at.q) / h
-        return Walkers(q, self.manifold.project(places, v), places, at.force, at.whole & whole)
+        return Walkers(
+            q, self.manifold.project(places, v), places, at.force, at.is_closed & is_closed
+        )
 
     def step(self, at: Walkers, h: float) -> tuple[Walkers, Array]:
-        """A step of RATTLE, and its velocity before the last projection, as SHAKE leaves it.
+        """Take a step of RATTLE; also return the velocity before the last projection (SHAKE).
 
         Source: H. C. Andersen, J. Comput. Phys. 52, 1983, 24.
         """
-        q, whole = self.manifold.close(
+        q, is_closed = self.manifold.close(
             at.places, at.q + h * (at.v + (0.5 * h / self._mass) * at.force)
         )
         places = self.manifold.at(q)
         force = self.force(q, places)
         v = (q - at.q) / h + (0.5 * h / self._mass) * force
-        now = Walkers(q, self.manifold.project(places, v), places, force, at.whole & whole)
+        now = Walkers(q, self.manifold.project(places, v), places, force, at.is_closed & is_closed)
         return now, v
 
 
 class Place(NamedTuple):
-    """Rows at configurations.
+    """Constraint rows at configurations.
 
     Attributes:
-        J: Their Jacobian, shape (m, size, n).
+        J: Jacobian, shape (m, size, n).
         D: M^-1 J', as (m, size, n).
         A: J M^-1 J', shape (m, m, n).
     """
@@ -111,11 +115,10 @@ class Place(NamedTuple):
 
 
 class Metropolis:
-    """New velocities, some steps of RATTLE, and a decision.
+    """Hybrid Monte Carlo: new velocities, some steps of RATTLE, and a Metropolis decision.
 
-    A step counts only where the step back leads to its start: the equations for the multipliers
-    may have several solutions, and one that the step back does not find would make the sample
-    wrong.
+    A step counts only if the step back leads to its start. The equations of the multipliers may
+    have several solutions, and one that the step back does not find would bias the samples.
 
     Sources: E. Zappa, M. Holmes-Cerfon, J. Goodman, Comm. Pure Appl. Math. 71, 2018, 2609;
     T. Lelievre, M. Rousset, G. Stoltz, Numer. Math. 143, 2019, 379.
@@ -126,125 +129,130 @@ class Metropolis:
         self.dt = dt
 
     def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
-        """One proposal for every chain.
+        """Make one proposal for every chain.
 
         Args:
             at: States of the chains.
-            random: Of this sweep.
+            random: Random numbers of this sweep.
             steps: Steps of RATTLE.
 
         Returns:
-            States with new velocities, and which proposals were accepted, shape (chains,).
+            States with new velocities, and whether proposals were accepted, shape (chains,).
         """
         ensemble, chains = self._ensemble, at.q.shape[1]
         h = self.dt * random.uniform(1.0 - _VARIED, 1.0 + _VARIED)
-        at = at._replace(v=ensemble.drawn(random, at.places, chains))
+        at = at._replace(v=ensemble.draw_velocities(random, at.places, chains))
         chosen = random.random(chains)
-        there = at._replace(whole=np.ones(chains, dtype=np.bool_))
+        there = at._replace(is_closed=np.ones(chains, dtype=np.bool_))
         with np.errstate(all="ignore"):
             before = self._total(at)
             for _ in range(steps):
-                there = self._stepped(there, h)
+                there = self._reversible_step(there, h)
             rise = self._total(there) - before
-            accepted: Marks = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
+            accepted: Marks = there.is_closed & (
+                chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0))
+            )
         return _chosen(accepted, there, at), accepted
 
     def _total(self, at: Walkers) -> Array:
         total: Array = self._ensemble.energy(at.q, at.places) + self._ensemble.kinetic(at.v)
         return total
 
-    def _stepped(self, at: Walkers, h: float) -> Walkers:
+    def _reversible_step(self, at: Walkers, h: float) -> Walkers:
         ensemble = self._ensemble
         there, _ = ensemble.step(at, h)
         if not ensemble.manifold.parts:
             return there
         back = there.q - h * (there.v - (0.5 * h / ensemble.space.mass[:, None]) * there.force)
-        back, whole = ensemble.manifold.close(there.places, back)
+        back, is_closed = ensemble.manifold.close(there.places, back)
         near = np.abs(back - at.q).max(axis=0) <= _BACK * ensemble.space.scale
-        return there._replace(whole=there.whole & whole & near)
+        return there._replace(is_closed=there.is_closed & is_closed & near)
 
 
-def _chosen(taken: Marks, there: Walkers, here: Walkers) -> Walkers:
-    """The states of `there` for some chains, those of `here` for the others."""
+def _chosen(is_taken: Marks, there: Walkers, here: Walkers) -> Walkers:
+    """Return the states of `there` for chosen chains, those of `here` for the others."""
     places = [
-        type(a)(*(_taken(taken, *pair) for pair in zip(a, b, strict=True)))
+        type(a)(*(_where(is_taken, *pair) for pair in zip(a, b, strict=True)))
         for a, b in zip(there.places, here.places, strict=True)
     ]
     q, v, force = (
-        np.where(taken, a, b)
+        np.where(is_taken, a, b)
         for a, b in ((there.q, here.q), (there.v, here.v), (there.force, here.force))
     )
-    return Walkers(q, v, places, force, np.ones(len(taken), dtype=np.bool_))
+    return Walkers(q, v, places, force, np.ones(len(is_taken), dtype=np.bool_))
 
 
-def _taken(taken: Marks, there: Array, here: Array) -> Array:
-    copies = there.shape[-1] // len(taken)
-    return np.where(np.tile(taken, copies), there, here)
+def _where(is_taken: Marks, there: Array, here: Array) -> Array:
+    copies = there.shape[-1] // len(is_taken)
+    return np.where(np.tile(is_taken, copies), there, here)
 
 
 class Langevin:
-    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
+    """Langevin dynamics by the splitting g-BAOAB: kick, move, friction and noise, move, kick.
 
-    Its configurations have an error of second order in dt; velocities of every step are along the
-    rows.
+    Configurations have an error of second order in dt; velocities of every step are along the
+    constraints.
 
     Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
 
     Args:
         ensemble: The ensemble; masses of its space are constant.
-        friction: Rate at which velocities are forgotten, >= 0.
+        dt: Step.
+        friction: Rate at which velocities are damped, >= 0.
     """
 
     def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
         self._ensemble = ensemble
         self.dt = dt
-        self._kept = exp(-friction * dt)
-        self._new = sqrt(1.0 - self._kept**2)
+        self._decay = exp(-friction * dt)
+        self._noise = sqrt(1.0 - self._decay**2)
 
     def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
-        """Some steps.
+        """Take some steps.
 
         Args:
             at: States of the chains.
-            random: Of this sweep.
+            random: Random numbers of this sweep.
+            steps: Number of steps.
 
         Returns:
-            States, and which of them were accepted: all, shape (chains,).
+            States, and True for every chain, shape (chains,).
 
         Raises:
-            DivergedError: A step does not end on the rows.
+            DivergedError: A step does not end on the constraints.
         """
         ensemble, h = self._ensemble, self.dt
         for _ in range(steps):
             at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
-            noise = ensemble.drawn(random, at.places, at.q.shape[1])
-            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
+            noise = ensemble.draw_velocities(random, at.places, at.q.shape[1])
+            at = ensemble.move(at._replace(v=self._decay * at.v + self._noise * noise), 0.5 * h)
             at = at._replace(force=ensemble.force(at.q, at.places))
             at = ensemble.kick(at, 0.5 * h)
-            if not at.whole.all():
+            if not at.is_closed.all():
                 raise DivergedError(
-                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
-                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
+                    f"langevin: no step of {h:g} ends on the constraints in "
+                    f"{(~at.is_closed).sum()} of {at.is_closed.size} chains; "
+                    "try a smaller dt, or the method metropolis"
                 )
-        return at, at.whole
+        return at, at.is_closed
 
 
 class Walkers(NamedTuple):
-    """States of chains and what is known there.
+    """States of chains, with constraint rows and forces there.
 
     Attributes:
         q: Configurations, shape (size, chains).
         v: Velocities with J v = 0.
-        places: Rows at q.
-        force: On the coordinates at q.
-        whole: Which chains are there: a step that has not ended on the rows is not, (chains,).
+        places: Constraint rows at q.
+        force: Forces on the coordinates at q.
+        is_closed: Whether the step of a chain has ended on the constraints, shape (chains,).
     """
 
     q: Array
     v: Array
     places: list[Place]
     force: Array
-    whole: Marks
+    is_closed: Marks
 
 
 class Manifold:
@@ -266,12 +274,12 @@ class Manifold:
 
     def close(self, places: list[Place], q: Array) -> tuple[Array, Marks]:
         """Configurations on the rows from those near them, and which were found, (chains,)."""
-        found: Marks = np.asarray(np.isfinite(q).all(axis=0))
+        is_closed: Marks = np.asarray(np.isfinite(q).all(axis=0))
         for part, place in zip(self.parts, places, strict=True):
             x, well = part.close(place, part.of(q))
             q = part.put(q, x)
-            found = found & well.reshape(part.block.copies, -1).all(axis=0)
-        return q, found
+            is_closed = is_closed & well.reshape(part.block.copies, -1).all(axis=0)
+        return q, is_closed
 
     def log_gram(self, places: list[Place]) -> Array:
         """Logarithm of det J M^-1 J', the sum of all blocks, shape (chains,)."""
@@ -337,7 +345,7 @@ class BlockRows:
             x: Coordinates off the rows.
         """
         size = np.sqrt(np.einsum("aib,aib->ab", place.J, place.J))
-        x, found = x.copy(), np.zeros(x.shape[1], dtype=np.bool_)
+        x, is_closed = x.copy(), np.zeros(x.shape[1], dtype=np.bool_)
         left, D, at = np.arange(x.shape[1]), place.D, x
         last = np.full(len(left), np.inf)
         with np.errstate(all="ignore"):
@@ -348,24 +356,24 @@ class BlockRows:
                 is_there |= (off <= _KEPT * self._scale) & (off >= 0.5 * last)
                 goes_on = ~is_there & np.isfinite(off)
                 if not goes_on.all():
-                    x[:, left], found[left] = at, is_there
+                    x[:, left], is_closed[left] = at, is_there
                     left, at, D, g = left[goes_on], at[:, goes_on], D[:, :, goes_on], g[:, goes_on]
                     size, off = size[:, goes_on], off[goes_on]
                     if not len(left):
                         break
                 slope = np.einsum("aib,cib->acb", self.block.jacobian(at), D)
                 at, last = at - np.einsum("aib,ab->ib", D, solve(slope, g)), off
-        return x, found
+        return x, is_closed
 
     def log_gradient(self, place: Place, x: Array) -> Array:
         """Gradient of 1/2 ln det A: the sum over rows a of H_a (A^-1 D)_a, shape (size, n)."""
         W = np.einsum("acb,cib->aib", inverse(place.A), place.D)
         total = np.zeros(x.shape)
         for a, w in enumerate(W):
-            total += self.turned(x, w)[a]
+            total += self.jacobian_rate(x, w)[a]
         return total
 
-    def turned(self, x: Array, w: Array) -> Array:
+    def jacobian_rate(self, x: Array, w: Array) -> Array:
         """Change of the Jacobian along w: H_a w of every row a, shape (m, size, n)."""
         long = np.sqrt((w * w).sum(axis=0))
         step = _APART * self._scale / np.where(long > 0.0, long, 1.0)

@@ -11,15 +11,15 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, DivergedError, SceneError
 from mbd_ros.features.sampling.chains import (
-    Asked,
-    Order,
-    Sampled,
+    BlockOrder,
+    SampledBlock,
+    SamplingProblem,
     blocks_of,
-    packed_block,
-    packed_checkpoint,
+    pack_block,
+    pack_checkpoint,
     read_checkpoint,
-    unpacked_block,
-    unpacked_checkpoint,
+    unpack_block,
+    unpack_checkpoint,
     write_checkpoint,
 )
 from mbd_ros.features.sampling.components import components
@@ -62,13 +62,13 @@ _FEW = 100  # effective samples
 
 
 class Where(NamedTuple):
-    """Where chains are sampled, and where they go on and stop.
+    """Processes that sample chains, and checkpoints.
 
     Attributes:
-        workers: How many cores; None for all.
-        scheduler: Of a Dask cluster.
-        goes_on: Checkpoint of an earlier run.
-        checkpoint: Where that of this run goes.
+        workers: Number of processes; None for one per core.
+        scheduler: Address of a Dask cluster in place of processes of this machine.
+        goes_on: Checkpoint of an earlier run, which this run continues.
+        checkpoint: File for the checkpoint of this run.
     """
 
     workers: int | None = None
@@ -91,111 +91,121 @@ def sample(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Samples of the canonical ensemble of a scene, or mean forces along a coordinate.
+    """Sample the canonical ensemble of a scene, or compute mean forces along a coordinate.
 
     Args:
         scene: A scene of particles, or a mechanism without free bodies.
-        task: A task file with a section `sample`, or its keys.
-        workers: How many processes; None for one a core, which a script starts only below
-            `if __name__ == "__main__":`. They do not change the result.
-        scheduler: Of a Dask cluster, in place of them.
-        goes_on: Checkpoint of an earlier run, from which this one goes on.
-        checkpoint: Where a checkpoint goes.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        task: A task file with a section `sample`, or the keys of that section: the arguments of
+            `mbd_ros.features.sampling.task.SampleTask`.
+        workers: Number of processes, which does not change the result; None for one per core. A
+            script starts several only below `if __name__ == "__main__":`.
+        scheduler: Address of a Dask cluster in place of processes of this machine.
+        goes_on: Checkpoint (.npz) of an earlier run, which this run continues.
+        checkpoint: File (.npz) for the states of the chains at the end of the run.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
-        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate
-        `profile`.
+        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate the
+        table `profile`.
 
     Raises:
         SceneError: The task cannot be read, or does not fit the scene.
-        DivergedError: A step does not end on the rows.
+        DivergedError: A step does not end on the constraints.
     """
     remarks: list[str] = []
-    paths = (None if one is None else Path(one) for one in (goes_on, checkpoint))
+    paths = (None if path is None else Path(path) for path in (goes_on, checkpoint))
     where = Where(workers, scheduler, *paths)
     with watching(progress):
-        result = run_sample(Asked(scene, *task_of(scene, task)), say or remarks.append, where)
+        result = run_sample(
+            SamplingProblem(scene, *task_of(scene, task)), say or remarks.append, where
+        )
     if say is None:
         result.metadata["remarks"] = remarks
     return result
 
 
-def run_sample(asked: Asked, say: Say, where: Where = _HERE) -> Result:
-    """Do what `sample` describes."""
-    for line in _first_lines(asked):
+def run_sample(problem: SamplingProblem, say: Say, where: Where = _HERE) -> Result:
+    """Return the result of `sample` for a problem."""
+    for line in _first_lines(problem):
         say(line)
-    if asked.coordinate is not None:
-        found = _profile(asked, say, where)
+    if problem.coordinate is not None:
+        tables = _profile(problem, say, where)
     else:
-        found = _ensemble(asked, say, where)
-    inputs = {"seed": asked.plan.seed, "thermal_energy": asked.kT, "method": asked.plan.method}
-    return Result(found, metadata_of("sample", asked.scene, inputs, {}))
+        tables = _ensemble(problem, say, where)
+    inputs = {
+        "seed": problem.plan.seed,
+        "thermal_energy": problem.kT,
+        "method": problem.plan.method,
+    }
+    return Result(tables, metadata_of("sample", problem.scene, inputs, {}))
 
 
-def _first_lines(asked: Asked) -> Iterator[str]:
-    sampled, task = asked.sampled, asked.task
+def _first_lines(problem: SamplingProblem) -> Iterator[str]:
+    sampled, task = problem.sampled, problem.task
     degrees = degrees_of_freedom(sampled.space, sampled.start)
     yield (
         f"{sampled.name}: {sampled.space.size} coordinates, {degrees} degrees of freedom, "
-        f"kT {asked.kT:.6g} {sampled.energy}, {task.method}"
+        f"kT {problem.kT:.6g} {sampled.energy}, {task.method}"
         + (", Fixman's potential" if task.fixman else "")
     )
-    looks = sampled.is_small if task.components is None else task.components
-    if not looks or asked.coordinate is not None or not sampled.features:
+    is_wanted = sampled.is_small if task.components is None else task.components
+    if not is_wanted or problem.coordinate is not None or not sampled.features:
         return
-    found = components(asked.ensemble(None), sampled.start, sampled.features, task.seed)
-    if found.number == 1:
-        yield f"components: 1, from {len(found.of_probe) - 1} random starts"
+    parts = components(problem.ensemble(None), sampled.start, sampled.features, task.seed)
+    if parts.number == 1:
+        yield f"components: 1, from {len(parts.of_probe) - 1} random starts"
         return
-    own = int(np.count_nonzero(found.of_probe == 0)) - 1
+    inside = int(np.count_nonzero(parts.of_probe == 0)) - 1
     yield (
-        f"components: {found.number} that no motion along the rows joins; "
-        f"{own} of {len(found.of_probe) - 1} random starts are in that of the scene"
+        f"components: {parts.number} that no motion along the constraints joins; "
+        f"{inside} of {len(parts.of_probe) - 1} random starts are in that of the scene"
     )
-    yield from (f"  wall: {wall}" for wall in found.walls)
+    yield from (f"  wall: {wall}" for wall in parts.walls)
 
 
-def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
+def _profile(problem: SamplingProblem, say: Say, where: Where) -> dict[str, Any]:
     if where.goes_on is not None or where.checkpoint is not None:
-        raise SceneError("mean forces have no checkpoints; a run without a coordinate has")
-    levels, blocks = list(asked.task.at), blocks_of(asked.plan.chains)
-    orders = [Order(i, level) for level in levels for i in range(len(blocks))]
-    done = blocks_done(asked, orders, where.workers, where.scheduler)
+        raise SceneError("mean forces have no checkpoints; leave out checkpoint and continue")
+    levels, blocks = list(problem.task.at), blocks_of(problem.plan.chains)
+    orders = [BlockOrder(i, level) for level in levels for i in range(len(blocks))]
+    done = sample_blocks(problem, orders, where.workers, where.scheduler)
     forces = []
     for k, level in enumerate(levels):
         mine = done[k * len(blocks) : (k + 1) * len(blocks)]
-        values = np.concatenate([one.values for one in mine], axis=1)
+        values = np.concatenate([level_mean.values for level_mean in mine], axis=1)
         forces.append(mean_force(level, *values))
-    profile, coordinate = free_energy(forces), asked.coordinate
+    profile, coordinate = free_energy(forces), problem.coordinate
     assert coordinate is not None
-    units = (coordinate.unit, asked.sampled.energy)
-    for one, energy, error in zip(forces, *profile, strict=True):
+    units = (coordinate.unit, problem.sampled.energy)
+    for level_mean, energy, error in zip(forces, *profile, strict=True):
         say(
-            f"  {coordinate.name} {one.level:g}: mean force {one.force.mean:.6g} +- "
-            f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
-            f"({one.force.effective:.0f} effective samples)"
+            f"  {coordinate.name} {level_mean.level:g}: mean force {level_mean.force.mean:.6g} +- "
+            f"{level_mean.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
+            f"({level_mean.force.effective:.0f} effective samples)"
         )
     table = profile_table(coordinate.name, units, forces, profile)
     return {MAIN: table, PROFILE: table}
 
 
-def blocks_done(
-    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
-) -> list[Sampled]:
-    """Blocks of chains, in the order of `orders`, here or by workers.
+def sample_blocks(
+    problem: SamplingProblem,
+    orders: Sequence[BlockOrder],
+    workers: int | None,
+    scheduler: str | None,
+) -> list[SampledBlock]:
+    """Sample blocks of chains, here or in workers, and return them in the order of `orders`.
 
     Raises:
         DataError: A worker has failed.
-        MbdError: A step does not end on the rows, or a held value cannot be reached.
+        MbdError: A step does not end on the constraints, or a value of the coordinate cannot be
+            reached.
     """
-    scene = asked.scene
+    scene = problem.scene
     alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
     if alone or (workers == 1 and scheduler is None):
-        return [asked.done(order) for order in orders]
-    entries = _entries(asked.task)
+        return [problem.sample_block(order) for order in orders]
+    entries = _entries(problem.task)
     tasks = [
         Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
         for i, order in enumerate(orders)
@@ -206,7 +216,7 @@ def blocks_done(
         failure = done[task.name].failure
         if failure:
             raise _failed(failure)
-    return [unpacked_block(done[task.name].value) for task in tasks]
+    return [unpack_block(done[task.name].value) for task in tasks]
 
 
 def _entries(task: SampleTask) -> dict[str, Any]:
@@ -218,8 +228,8 @@ def _entries(task: SampleTask) -> dict[str, Any]:
     return entries
 
 
-def _sent(order: Order) -> dict[str, Any]:
-    start = None if order.start is None else packed_checkpoint(order.start)
+def _sent(order: BlockOrder) -> dict[str, Any]:
+    start = None if order.start is None else pack_checkpoint(order.start)
     return {"number": order.number, "level": order.level, "start": start}
 
 
@@ -229,82 +239,89 @@ def _failed(failure: str) -> Exception:
     return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
 
 
-def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
-    blocks = blocks_of(asked.plan.chains)
-    done = _done(asked, [Order(i) for i in range(len(blocks))], where)
+def _ensemble(problem: SamplingProblem, say: Say, where: Where) -> dict[str, Any]:
+    blocks = blocks_of(problem.plan.chains)
+    blocks_of_run = _sample(problem, [BlockOrder(i) for i in range(len(blocks))], where)
     if where.checkpoint is not None:
-        write_checkpoint(where.checkpoint, [one.end for one in done])
-    values = np.concatenate([one.values for one in done], axis=1)
-    accepted = np.concatenate([one.accepted for one in done])
-    names, units = (list(column) for column in zip(*asked.columns, strict=True))
+        write_checkpoint(where.checkpoint, [block.end for block in blocks_of_run])
+    values = np.concatenate([block.values for block in blocks_of_run], axis=1)
+    accepted = np.concatenate([block.accepted for block in blocks_of_run])
+    names, units = (list(column) for column in zip(*problem.columns, strict=True))
     averages = {name: average(x) for name, x in zip(names, values, strict=True)}
-    if asked.plan.method == "metropolis":
-        say(f"accepted {accepted.mean():.3f}, dt {done[0].end.dt:.4g}")
-    for line in _average_lines(averages, units, asked):
+    if problem.plan.method == "metropolis":
+        say(f"accepted {accepted.mean():.3f}, dt {blocks_of_run[0].end.dt:.4g}")
+    for line in _average_lines(averages, units, problem):
         say(line)
-    found = {
+    tables = {
         MAIN: sample_table(values, names, units),
         AVERAGES: average_table(averages, units),
         CHAINS: chain_table(accepted),
     }
     by_name = dict(zip(names, units, strict=True))
-    for name, x, edges in _binned(asked, names, values):
+    for name, x, edges in _binned(problem, names, values):
         table = histogram_table(histogram(x, edges), by_name[name])
-        found[HISTOGRAM + name] = table
-    return found
+        tables[HISTOGRAM + name] = table
+    return tables
 
 
-def _done(asked: Asked, orders: Sequence[Order], where: Where) -> list[Sampled]:
+def _sample(
+    problem: SamplingProblem, orders: Sequence[BlockOrder], where: Where
+) -> list[SampledBlock]:
     if where.goes_on is not None:
-        size, blocks = asked.sampled.space.size, blocks_of(asked.plan.chains)
+        size, blocks = problem.sampled.space.size, blocks_of(problem.plan.chains)
         sizes = [(size, one.stop - one.start) for one in blocks]
         starts = read_checkpoint(where.goes_on, sizes)
         orders = [order._replace(start=starts[order.number]) for order in orders]
-    return blocks_done(asked, orders, where.workers, where.scheduler)
+    return sample_blocks(problem, orders, where.workers, where.scheduler)
 
 
 def _average_lines(
-    averages: Mapping[str, Average], units: Sequence[str], asked: Asked
+    averages: Mapping[str, Average], units: Sequence[str], problem: SamplingProblem
 ) -> Iterator[str]:
-    sampled = asked.sampled
+    sampled = problem.sampled
     degrees = degrees_of_freedom(sampled.space, sampled.start)
-    for (name, one), unit in zip(averages.items(), units, strict=True):
+    for (name, estimate), unit in zip(averages.items(), units, strict=True):
         word = f" {unit}" if unit else ""
         yield (
-            f"  {name}: {one.mean:.6g} +- {one.error:.2g}{word}, "
-            f"{one.effective:.0f} effective samples, split R-hat {one.rhat:.4f}"
+            f"  {name}: {estimate.mean:.6g} +- {estimate.error:.2g}{word}, "
+            f"{estimate.effective:.0f} effective samples, split R-hat {estimate.rhat:.4f}"
         )
         if name.startswith("energy.kinetic") and degrees:
-            share = 2.0 / (degrees * asked.kT)
-            yield f"    {share * one.mean:.6g} +- {share * one.error:.2g} of the temperature"
-    apart = [n for n, one in averages.items() if one.rhat > _APART or one.effective < _FEW]
+            share = 2.0 / (degrees * problem.kT)
+            mean, error = share * estimate.mean, share * estimate.error
+            yield f"    {mean:.6g} +- {error:.2g} of the temperature"
+    apart = [
+        n
+        for n, estimate in averages.items()
+        if estimate.rhat > _APART or estimate.effective < _FEW
+    ]
     if apart:
         yield (
-            f"chains do not agree on {', '.join(apart[:4])}: they have not been long enough, or "
-            "are in parts that do not meet"
+            f"chains do not agree on {', '.join(apart[:4])}: they are too short, or in components "
+            "that are not connected"
         )
 
 
 def chain_table(accepted: Array) -> Table:
-    """Chains, a row each."""
+    """Return one row per chain."""
     return Table([Column("chain", np.arange(1, len(accepted) + 1)), Column("accepted", accepted)])
 
 
 def _binned(
-    asked: Asked, names: Sequence[str], values: Array
+    problem: SamplingProblem, names: Sequence[str], values: Array
 ) -> Iterator[tuple[str, Array, Array]]:
-    """Name, values and edges of each histogram that is asked for, or of each quantity."""
-    by_name, given = dict(zip(names, values, strict=True)), asked.task.histograms
-    for name, (low, high, count) in given.items():
+    """Yield name, values and edges of the histograms of the task, or of all quantities."""
+    by_name, histograms = dict(zip(names, values, strict=True)), problem.task.histograms
+    for name, (low, high, count) in histograms.items():
         if name not in by_name:
             raise SceneError(
-                f"{asked.where}.histograms: there is no {name}, accepted: {', '.join(names)}"
+                f"{problem.where}.histograms: unknown {name}, accepted: {', '.join(names)}"
             )
         yield name, by_name[name], np.linspace(low, high, int(count) + 1)
-    for one in asked.quantities:
-        x = by_name[one.name]
-        if not given and np.ptp(x) > 0.0:
-            yield one.name, x, np.linspace(float(x.min()), float(x.max()), _BINS + 1)
+    for quantity in problem.quantities:
+        x = by_name[quantity.name]
+        if not histograms and np.ptp(x) > 0.0:
+            yield quantity.name, x, np.linspace(float(x.min()), float(x.max()), _BINS + 1)
 
 
 def sample_to(
@@ -337,8 +354,8 @@ def sample_to(
     if out is not None:
         format_of(out)
     entries, name = _entries_of(scene, task), "sample" if task is None else f"{task}: sample"
-    asked = Asked(scene, sample_task({**entries, **changed}, name), name)
-    result = run_sample(asked, say, where)
+    problem = SamplingProblem(scene, sample_task({**entries, **changed}, name), name)
+    result = run_sample(problem, say, where)
     if out is not None:
         write_tables(result, out, say)
     if plot is not None:
@@ -354,25 +371,25 @@ def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
         return {}
     entries = read_task(task, scene).entries
     if "sample" not in entries:
-        raise SceneError(f"{task}: has no section sample")
+        raise SceneError(f"{task}: has no section 'sample'")
     return dict(entries["sample"])
 
 
 def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
-    """The task of a file or of keys, and its name for messages."""
+    """Return the task of a file or of keys, and its name for messages."""
     if not isinstance(task, str | Path):
         return sample_task(dict(task), "sample"), "sample"
     parts = read_task(task, scene).parts
     if "sample" not in parts:
-        raise SceneError(f"{task}: has no section sample")
+        raise SceneError(f"{task}: has no section 'sample'")
     return parts["sample"], f"{task}: sample"
 
 
 def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> Table:
-    """All samples, chain by chain.
+    """Return all samples, chain by chain.
 
     Args:
-        values: Shape (quantities, chains, samples).
+        values: Values of the quantities, shape (quantities, chains, samples).
     """
     _, chains, samples = values.shape
     columns = [
@@ -383,23 +400,23 @@ def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> T
     return Table([*columns, *(Column(n, v.ravel(), unit) for n, unit, v in pairs)])
 
 
-def average_table(found: Mapping[str, Average], units: Sequence[str]) -> Table:
-    """Averages in one row: `<quantity>.mean`, `.standard_error`, .."""
+def average_table(averages: Mapping[str, Average], units: Sequence[str]) -> Table:
+    """Return the averages in one row: `<quantity>.mean`, `.standard_error` and so on."""
     columns = []
-    for (name, one), unit in zip(found.items(), units, strict=True):
+    for (name, one), unit in zip(averages.items(), units, strict=True):
         for value, (word, has_unit) in zip(one, _AVERAGE, strict=True):
             columns.append(Column(f"{name}.{word}", np.array([value]), unit if has_unit else ""))
     return Table(columns)
 
 
-def histogram_table(found: Histogram, unit: str) -> Table:
-    """Shares of samples, a row a bin."""
+def histogram_table(histogram: Histogram, unit: str) -> Table:
+    """Return the shares of samples, one row per bin."""
     return Table(
         [
-            Column("low", found.edges[:-1], unit),
-            Column("high", found.edges[1:], unit),
-            Column("share", found.shares),
-            Column("standard_error", found.errors),
+            Column("low", histogram.edges[:-1], unit),
+            Column("high", histogram.edges[1:], unit),
+            Column("share", histogram.shares),
+            Column("standard_error", histogram.errors),
         ]
     )
 
@@ -407,22 +424,22 @@ def histogram_table(found: Histogram, unit: str) -> Table:
 def profile_table(
     name: str, units: tuple[str, str], forces: Sequence[MeanForce], profile: Profile
 ) -> Table:
-    """Mean force and free energy, a row a value of the coordinate.
+    """Return mean force and free energy, one row per value of the coordinate.
 
     Args:
-        name: Of the coordinate.
-        units: Of the coordinate and of energies.
-        forces: At its values.
-        profile: Free energy there.
+        name: Name of the coordinate.
+        units: Units of the coordinate and of energies.
+        forces: Mean forces at its values.
+        profile: Free energies at its values.
     """
     slope = f"{units[1]}/({units[0]})" if units[0] else units[1]
 
     def of(kind: str, field: str) -> Array:
-        return np.array([getattr(getattr(one, kind), field) for one in forces])
+        return np.array([getattr(getattr(level_force, kind), field) for level_force in forces])
 
     return Table(
         [
-            Column(name, np.array([one.level for one in forces]), units[0]),
+            Column(name, np.array([level_force.level for level_force in forces]), units[0]),
             Column("mean_force", of("force", "mean"), slope),
             Column("mean_force.standard_error", of("force", "error"), slope),
             Column("effective_samples", of("force", "effective")),
@@ -436,7 +453,9 @@ def profile_table(
 
 
 def do(sent: Mapping[str, Any]) -> dict[str, Any]:
-    """A block of chains in a worker."""
-    asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
-    start = None if sent["start"] is None else unpacked_checkpoint(sent["start"])
-    return packed_block(asked.done(Order(sent["number"], sent["level"], start)))
+    """Sample a block of chains in a worker process."""
+    problem = SamplingProblem(
+        load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample"
+    )
+    start = None if sent["start"] is None else unpack_checkpoint(sent["start"])
+    return pack_block(problem.sample_block(BlockOrder(sent["number"], sent["level"], start)))

@@ -45,8 +45,8 @@ class JointSpace:
         self.scale = _SCALE
         self._still = np.zeros(system.nv)
         self.mass: Array = system.mass(start.q).diagonal().copy()
-        kept = independent(system.jacobian(0.0, start.q)) if system.rows else []
-        self.blocks: tuple[Any, ...] = (JointRows(system, kept),) if kept else ()
+        rows = independent(system.jacobian(0.0, start.q)) if system.rows else []
+        self.blocks: tuple[Any, ...] = (JointRows(system, rows),) if rows else ()
 
     def potential(self, q: Array) -> Array:
         """Potential energy [J], infinite beyond a wall, shape (chains,)."""
@@ -102,38 +102,38 @@ class JointSpace:
         if not np.isfinite(q).all():
             return -np.inf
         mass = self.system.mass(q)
-        found = float(np.linalg.slogdet(mass.dense)[1])
+        volume = float(np.linalg.slogdet(mass.dense)[1])
         for block in self.blocks:
             J = block.jacobian(q[:, None])[:, :, 0]
-            found -= float(np.linalg.slogdet((J / self.mass).dot(J.T))[1])
+            volume -= float(np.linalg.slogdet((J / self.mass).dot(J.T))[1])
             if not fixman:
-                found += float(np.linalg.slogdet(J.dot(mass.solve(J.T)))[1])
-        return 0.5 * found
+                volume += float(np.linalg.slogdet(J.dot(mass.solve(J.T)))[1])
+        return 0.5 * volume
 
 
 class JointRows:
-    """Loops of a mechanism.
+    """Constraint rows of the loops of a mechanism.
 
     Attributes:
-        coordinates: None: all of them.
+        coordinates: None, for all coordinates.
         copies: 1.
     """
 
     coordinates = None
     copies = 1
 
-    def __init__(self, system: System, kept: Sequence[int]) -> None:
+    def __init__(self, system: System, independent: Sequence[int]) -> None:
         self._system = system
-        self._kept = list(kept)
-        self.rows = tuple(system.rows[i].name for i in kept)
+        self._independent = list(independent)
+        self.rows = tuple(system.rows[i].name for i in independent)
 
     def residual(self, x: Array) -> Array:
         """g, shape (m, n)."""
-        kept, residual = self._kept, self._system.residual
-        return np.array([residual(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]).T
+        independent, residual = self._independent, self._system.residual
+        return np.array([residual(0.0, q)[independent] for q in np.ascontiguousarray(x.T)]).T
 
     def jacobian(self, x: Array) -> Array:
         """dg/dx, shape (m, size, n)."""
-        kept, jacobian = self._kept, self._system.jacobian
-        each = [jacobian(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]
+        independent, jacobian = self._independent, self._system.jacobian
+        each = [jacobian(0.0, q)[independent] for q in np.ascontiguousarray(x.T)]
         return np.moveaxis(np.array(each), 0, 2)

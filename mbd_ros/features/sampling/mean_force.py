@@ -1,17 +1,17 @@
-"""Mean force along a held quantity, free energy, and how well averages are known.
+"""Mean force along a coordinate, free energy, and the accuracy of averages.
 
-Rows s and a held quantity xi have the Jacobian J = (J_s, J_xi), A = J M^-1 J' and Hessians H_c;
-with the multiplier of M a = -grad V + J' lam and the motion W = M^-1 J' A^-1 e_xi along which xi
-alone changes,
+Constraints s and a fixed coordinate xi have the Jacobian J = (J_s, J_xi), A = J M^-1 J' and the
+Hessians H_c. With the multiplier of M a = -grad V + J' lam and the motion W = M^-1 J' A^-1 e_xi,
+along which xi alone changes,
 
     dA/dxi = <w (lam_xi + kT G)> / <w>,   w = (det A_s / det A)^(1/2)
     G = tr(A^-1 K) - tr(A_s^-1 K_s),      K_ca = (M^-1 J_a') . H_c W
 
-Without other rows these are w = Z^-1/2 and G = grad xi . H grad xi / |grad xi|^4, as in
+Without other constraints these are w = Z^-1/2 and G = grad xi . H grad xi / |grad xi|^4, as in
 the sources.
-Where rows s are the limit of stiff springs (Fixman), w = det A^(-1/2) and G = tr(A^-1 K).
-Masses are constant here. Those of a mechanism are not: V contains the density that they give to
-configurations then (`WeightedSpace`).
+If the constraints s are the limit of stiff springs (Fixman), w = det A^(-1/2) and G = tr(A^-1 K).
+Masses are constant here. For a mechanism, whose masses are not, V contains the density that they
+give to configurations (`WeightedSpace`).
 
 Sources: E. A. Carter et al., Chem. Phys. Lett. 156, 1989, 472; M. Sprik, G. Ciccotti, J. Chem.
 Phys. 109, 1998, 7737; W. K. den Otter, W. J. Briels, ibid. 109, 1998, 4139.
@@ -28,14 +28,14 @@ from mbd_ros.core.state import Array
 from mbd_ros.features.sampling.ensemble import Ensemble, Walkers
 from mbd_ros.features.sampling.space import inverse, log_determinant, solve
 
-_STILL = 1.0e-12  # of the whole variance, within chains that do not move
+_STILL = 1.0e-12  # of the total variance, within chains that do not move
 _AVERAGED = 60  # coordinates up to which velocities are averaged over and not drawn
 _ROUNDED = 1.0e-9  # what differences of Jacobians leave, where samples do not scatter
 _NODES = 4  # of the polynomial that is integrated over an interval
 
 
 def mean_force(level: float, weight: Array, multiplier: Array, correction: Array) -> MeanForce:
-    """The mean force of samples, arrays of shape (chains, samples)."""
+    """Compute the mean force from samples, arrays of shape (chains, samples)."""
     force = ratio(weight * (multiplier + correction), weight)
     rounded = _ROUNDED * float(np.abs(multiplier).mean() + np.abs(correction).mean())
     force = force._replace(error=float(np.hypot(force.error, rounded)))
@@ -43,12 +43,12 @@ def mean_force(level: float, weight: Array, multiplier: Array, correction: Array
 
 
 class MeanForce(NamedTuple):
-    """The mean force at a value.
+    """Mean force at a value of the coordinate.
 
     Attributes:
-        level: Value of the held quantity.
-        force: dA/dxi, the derivative of the free energy.
-        multiplier: The average of the multiplier alone, without weight and correction.
+        level: Value of the coordinate.
+        force: Derivative of the free energy dA/dxi.
+        multiplier: Average of the multiplier alone, without weight and correction.
     """
 
     level: float
@@ -56,50 +56,53 @@ class MeanForce(NamedTuple):
     multiplier: Average
 
 
-def instant(held: Ensemble, at: Walkers, gradient: Array, *, fixman: bool) -> Instant:
-    """What is averaged, at states of an ensemble of a `HeldSpace`.
+def instant(ensemble: Ensemble, at: Walkers, gradient: Array, *, fixman: bool) -> Instant:
+    """Evaluate the terms of the mean force at states of an ensemble with a fixed coordinate.
 
     Args:
-        held: The ensemble, without Fixman's potential: weights take care of it.
-        gradient: Of the potential energy there, shape (size, chains).
-        fixman: Whether the other rows are the limit of stiff springs.
+        ensemble: Ensemble of a `FixedCoordinateSpace`, without Fixman's potential, which the
+            weights contain.
+        at: States of the chains.
+        gradient: Gradient of the potential energy there, shape (size, chains).
+        fixman: Whether the other constraints are the limit of stiff springs.
     """
-    (part,), (place,) = held.manifold.parts, at.places
+    (part,), (place,) = ensemble.manifold.parts, at.places
     B = inverse(place.A)
-    bending = _bending(held, at)
+    bending = _bending(ensemble, at)
     pull = np.einsum("aib,ib->ab", place.D, gradient)
     multiplier = solve(place.A, pull - bending)[-1]
     W = np.einsum("aib,ab->ib", place.D, B[:, -1])
-    K = np.einsum("cib,aib->cab", part.turned(at.q, W), place.D)
+    K = np.einsum("cib,aib->cab", part.jacobian_rate(at.q, W), place.D)
     G = np.einsum("acb,cab->b", B, K)
     log_weight = -log_determinant(place.A)
     if not fixman and len(B) > 1:
-        own = place.A[:-1, :-1]
-        G = G - np.einsum("acb,cab->b", inverse(own), K[:-1, :-1])
-        log_weight = log_weight + log_determinant(own)
-    return Instant(np.exp(0.5 * log_weight), multiplier, held.kT * G)
+        A_s = place.A[:-1, :-1]
+        G = G - np.einsum("acb,cab->b", inverse(A_s), K[:-1, :-1])
+        log_weight = log_weight + log_determinant(A_s)
+    return Instant(np.exp(0.5 * log_weight), multiplier, ensemble.kT * G)
 
 
-def _bending(held: Ensemble, at: Walkers) -> Array:
-    """The v . H_a v of all rows, their mean over velocities where that is cheap, (m, chains)."""
-    ((part,), (place,)), space = (held.manifold.parts, at.places), held.space
+def _bending(ensemble: Ensemble, at: Walkers) -> Array:
+    """Return v . H_a v of all rows, (m, chains), averaged over velocities if that is cheap."""
+    ((part,), (place,)), space = (ensemble.manifold.parts, at.places), ensemble.space
     velocities = [at.v]
     if space.size <= _AVERAGED:
-        spread = np.sqrt(held.kT / space.mass)
+        spread = np.sqrt(ensemble.kT / space.mass)
         unit = np.repeat(np.diag(spread)[:, :, None], at.q.shape[1], axis=2)
         velocities = [part.project(place, v) for v in unit]
     total = np.zeros(place.J.shape[::2])
     for v in velocities:
-        total += np.einsum("aib,ib->ab", part.turned(at.q, v), v)
+        total += np.einsum("aib,ib->ab", part.jacobian_rate(at.q, v), v)
     return total
 
 
 class Instant(NamedTuple):
-    """What is averaged at states of held chains.
+    """Terms of the mean force at states of chains.
 
     Attributes:
-        weight: w, shape (chains,).
-        multiplier: lam_xi; where velocities are averaged over, its mean over them.
+        weight: Weight w, shape (chains,).
+        multiplier: Multiplier lam_xi, perhaps averaged over velocities, shape (chains,).
+        correction: Term kT G, shape (chains,).
     """
 
     weight: Array
@@ -108,19 +111,19 @@ class Instant(NamedTuple):
 
 
 def free_energy(forces: Sequence[MeanForce]) -> Profile:
-    """Thermodynamic integration of mean forces, each interval by a cubic through its neighbours.
+    """Integrate mean forces, on each interval by a cubic through its neighbours.
 
     Args:
-        forces: At values that rise or fall.
+        forces: Mean forces at values that rise or fall.
     """
-    levels = np.array([one.level for one in forces])
-    means, errors = (np.array([one.force[i] for one in forces]) for i in (0, 1))
+    levels = np.array([each.level for each in forces])
+    means, errors = (np.array([each.force[i] for each in forces]) for i in (0, 1))
     S = _integrals(levels)
     return Profile(S.dot(means), np.sqrt((S**2).dot(errors**2)))
 
 
 def _integrals(x: Array) -> Array:
-    """Matrix that integrates values from the first node to each, shape (n, n)."""
+    """Return the matrix that integrates values from the first node to each, shape (n, n)."""
     n = len(x)
     S, size = np.zeros((n, n)), min(_NODES, n)
     for k in range(n - 1):
@@ -136,10 +139,10 @@ def _integrals(x: Array) -> Array:
 
 
 class Profile(NamedTuple):
-    """Free energy at the values, 0 at the first one.
+    """Free energy at the values of the coordinate, 0 at the first one.
 
     Attributes:
-        energy: Shape (values,).
+        energy: Free energies, shape (values,).
         errors: Standard errors of the differences to the first one.
     """
 
@@ -148,7 +151,7 @@ class Profile(NamedTuple):
 
 
 def average(x: Array) -> Average:
-    """Average of a quantity.
+    """Compute the average of a quantity and its accuracy.
 
     Source: A. Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, 11.4 and 11.5; A. Vehtari et
     al., Bayesian Analysis 16, 2021, 667; C. J. Geyer, Statist. Sci. 7, 1992, 473 (where sums of
@@ -181,16 +184,16 @@ def _halves(x: Array) -> Array:
 
 
 def _autocovariance(x: Array) -> Array:
-    """Of each row, by all lags, shape as x."""
+    """Return the autocovariance of each row by all lags, shape of x."""
     n = x.shape[1]
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(x - x.mean(axis=1, keepdims=True), size, axis=1)
-    found: Array = np.fft.irfft(spectrum * spectrum.conj(), size, axis=1)[:, :n] / n
-    return found
+    covariance: Array = np.fft.irfft(spectrum * spectrum.conj(), size, axis=1)[:, :n] / n
+    return covariance
 
 
 def _summed(rho: Array) -> float:
-    """1 + 2 sum of autocorrelations, ended where sums of pairs cease to be positive and fall."""
+    """Return 1 + 2 sum of autocorrelations, as long as sums of pairs are positive and fall."""
     pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0.0)
     pairs = pairs[: negative[0]] if len(negative) else pairs
@@ -198,16 +201,15 @@ def _summed(rho: Array) -> float:
 
 
 class Average(NamedTuple):
-    """The average of a quantity.
+    """Average of a quantity.
 
     Attributes:
-        mean: Over all samples of all chains.
+        mean: Mean over all samples of all chains.
         error: Standard error of the mean.
         spread: Standard deviation of the quantity.
-        time: Samples after which a chain has forgotten a value: the integrated autocorrelation
-            time, 1 for independent samples.
-        effective: Number of independent samples that would know as much.
-        rhat: Split R-hat: 1 where halves of chains agree; above 1.01 they do not.
+        time: Integrated autocorrelation time in samples, 1 for independent samples.
+        effective: Number of independent samples with the same standard error.
+        rhat: Split R-hat, 1 if halves of chains agree; above 1.01 they do not.
     """
 
     mean: float
@@ -219,28 +221,28 @@ class Average(NamedTuple):
 
 
 def ratio(above: Array, below: Array) -> Average:
-    """The average of `above` over that of `below`, with the error of both.
+    """Return the average of `above` over that of `below`, with the error of both.
 
     Args:
         above: Values, shape (chains, samples).
-        below: Values, all > 0.
+        below: Values > 0, shape (chains, samples).
     """
     value = float(above.mean() / below.mean())
-    left = average((above - value * below) / below.mean())
-    return left._replace(mean=value)
+    deviation = average((above - value * below) / below.mean())
+    return deviation._replace(mean=value)
 
 
 def histogram(x: Array, edges: Array) -> Histogram:
-    """Shares of samples in bins, as averages of whether a sample is there.
+    """Compute the shares of samples in bins, with their standard errors.
 
     Args:
         x: Values, shape (chains, samples).
-        edges: Shape (bins + 1,).
+        edges: Edges of the bins, shape (bins + 1,).
     """
-    found = np.searchsorted(edges, x, side="right") - 1
-    found = np.where(x == edges[-1], len(edges) - 2, found)
-    each = [average((found == k).astype(float)) for k in range(len(edges) - 1)]
-    shares, errors = ([one[i] for one in each] for i in (0, 1))
+    bins = np.searchsorted(edges, x, side="right") - 1
+    bins = np.where(x == edges[-1], len(edges) - 2, bins)
+    averages = [average((bins == k).astype(float)) for k in range(len(edges) - 1)]
+    shares, errors = ([each[i] for each in averages] for i in (0, 1))
     return Histogram(edges, np.array(shares), np.array(errors))
 
 
@@ -248,9 +250,9 @@ class Histogram(NamedTuple):
     """Shares of samples in bins.
 
     Attributes:
-        edges: Shape (bins + 1,).
-        shares: Of all samples, those outside of the edges included, shape (bins,).
-        errors: Their standard errors.
+        edges: Edges of the bins, shape (bins + 1,).
+        shares: Shares of all samples, including those outside of the edges, shape (bins,).
+        errors: Standard errors of the shares, shape (bins,).
     """
 
     edges: Array

@@ -37,13 +37,13 @@ class Observable(NamedTuple):
         return self.of(q[self.coordinates])
 
     def gradient(self, q: Array) -> Array:
-        """Its derivative by all coordinates, by complex steps, shape (size, chains)."""
-        x, found = q[self.coordinates].astype(complex), np.zeros(q.shape)
+        """Return the derivative by all coordinates, by complex steps, shape (size, chains)."""
+        x, slope = q[self.coordinates].astype(complex), np.zeros(q.shape)
         for k, i in enumerate(self.coordinates):
             x[k] += 1j * _IMAGINARY
-            found[i] = self.of(x).imag / _IMAGINARY
+            slope[i] = self.of(x).imag / _IMAGINARY
             x[k] = x[k].real
-        return found
+        return slope
 
 
 def point(number: int) -> Indices:

@@ -81,25 +81,25 @@ class ParticleSpace:
         return np.zeros(q.shape[1])
 
     def kinetic_parts(self, q: Array, v: Array) -> Array:
-        """Means of translation, rotation and the rest of the molecules of each kind.
+        """Return mean energies of translation, rotation and internal motion of each kind.
 
         Returns:
             Shape (3 kinds, chains).
         """
-        found, chains = [], q.shape[1]
+        means, chains = [], q.shape[1]
         for (kind, x), (_, w) in zip(self._lanes(q), self._lanes(v), strict=True):
             parts = kinetic_parts(kind.masses, x, w)
-            found.append(parts.reshape(3, kind.count, chains).mean(axis=1))
-        return np.concatenate(found)
+            means.append(parts.reshape(3, kind.count, chains).mean(axis=1))
+        return np.concatenate(means)
 
     def _lanes(self, q: Array) -> list[tuple[Molecules, Array]]:
-        """Positions of each kind, (atoms, 3, copies * chains)."""
-        found = []
+        """Return the positions of each kind of molecules, (atoms, 3, copies * chains)."""
+        lanes = []
         for kind, first in zip(self.kinds, self._first, strict=False):
             atoms, chains = len(kind.atoms), q.shape[1]
             mine = q[first : first + 3 * kind.size].reshape(kind.count, 3 * atoms, chains)
-            found.append((kind, mine.transpose(1, 0, 2).reshape(atoms, 3, -1)))
-        return found
+            lanes.append((kind, mine.transpose(1, 0, 2).reshape(atoms, 3, -1)))
+        return lanes
 
 
 def _usual_size(kinds: Sequence[Molecules]) -> float:

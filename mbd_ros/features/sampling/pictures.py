@@ -40,9 +40,9 @@ def _profile(table: Table) -> Picture:
     return picture
 
 
-def _histograms(shown: Mapping[str, Table]) -> Picture:
-    picture, panels = _panels(len(shown))
-    for axes, (name, table) in zip(panels, shown.items(), strict=True):
+def _histograms(histograms: Mapping[str, Table]) -> Picture:
+    picture, panels = _panels(len(histograms))
+    for axes, (name, table) in zip(panels, histograms.items(), strict=True):
         low, high = table["low"], table["high"]
         density, error = (table[n] / (high - low) for n in ("share", "standard_error"))
         axes.bar(low, density, high - low, align="edge", alpha=0.5)

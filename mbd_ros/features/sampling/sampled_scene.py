@@ -1,4 +1,4 @@
-"""What of a scene is sampled: its space, its start, its quantities and their units."""
+"""The space in which a scene is sampled, its start, its quantities and their units."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _COMPARED = 7  # points of a molecule of which all pairs are compared
 
 
 def sampled_scene(scene: Any) -> SampledScene:
-    """What of a scene is sampled.
+    """The sampled coordinates of a scene.
 
     Raises:
         SceneError: The scene has what an ensemble does not serve; says what.
@@ -82,7 +82,7 @@ def _mechanism(scene: Scene) -> SampledScene:
         raise SceneError(f"{scene.name}: a free body is nowhere held: it has no ensemble")
     if not system.nv:
         raise SceneError(f"{scene.name}: no joint moves, there is nothing to sample")
-    if len(system.held.rows) != len(system.rows):
+    if len(system.bilateral.rows) != len(system.rows):
         raise SceneError(f"{scene.name}: rows of velocities have no ensemble of configurations")
     y = assemble(system, system.reduce(scene.initial))
     names = scene.couplings.independent
@@ -137,10 +137,10 @@ def _walls(scene: Scene, system: Any) -> list[Any]:
 
 def _position(name: str, unit: str, number: int) -> Observable:
     """A position; that of an angle lies between -pi and pi."""
-    found = coordinate(f"{name}.position", unit, number)
+    position = coordinate(f"{name}.position", unit, number)
     if unit != "rad":
-        return found
-    return found._replace(of=lambda x: (x[0] + np.pi) % (2.0 * np.pi) - np.pi)
+        return position
+    return position._replace(of=lambda x: (x[0] + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _circular(position: Observable) -> tuple[Observable, ...]:
@@ -155,7 +155,7 @@ def _circular(position: Observable) -> tuple[Observable, ...]:
 
 
 def sampled_particles(scene: Any) -> SampledScene:
-    """What of a scene of particles is sampled."""
+    """The sampled coordinates of a scene of particles."""
     system, units = scene.system(), scene.units
     space = ParticleSpace(system.kinds, system.pairs)
     firsts = list(_firsts(system.kinds))
@@ -187,11 +187,11 @@ def _bends(kind: Molecules, first: int) -> Iterator[Observable]:
     every = (*kind.rows, *kind.terms)
     bonds = [(b.i, b.j) for b in every if isinstance(b, DistanceRow | ElasticBond)]
     bonds = [(min(pair), max(pair)) for pair in bonds]
-    for one, other in itertools.combinations(sorted(set(bonds)), 2):
-        shared = set(one) & set(other)
+    for bond, other in itertools.combinations(sorted(set(bonds)), 2):
+        shared = set(bond) & set(other)
         if len(shared) == 1:
             (b,) = shared
-            (a,), (c,) = set(one) - shared, set(other) - shared
+            (a,), (c,) = set(bond) - shared, set(other) - shared
             if (min(a, c), max(a, c)) not in bonds:
                 names = kind.labels
                 name = f"cosine_{names[a]}_{names[b]}_{names[c]}"
@@ -199,7 +199,7 @@ def _bends(kind: Molecules, first: int) -> Iterator[Observable]:
 
 
 def _features(kind: Molecules, first: int, unit: str) -> Iterator[Observable]:
-    """What stays when molecules move as rigid bodies; all coordinates of those on surfaces."""
+    """Return the coordinates that stay when molecules move rigidly; all of those on surfaces."""
     names, n = kind.labels, len(kind.atoms)
     surfaces = [row for row in kind.rows if isinstance(row, SurfaceRow)]
     normal = _plane(surfaces, n)
@@ -235,31 +235,32 @@ def _plane(surfaces: list[SurfaceRow], atoms: int) -> Array | None:
 
 
 def quantity(text: str, scene: SampledScene, where: str, name: str = "") -> Observable:
-    """The quantity of some words: `distance a b`, `cosine a b c`, .., or a joint.
+    """Return the quantity of a text such as `distance a b`, `cosine a b c`, or a joint.
 
     Args:
-        scene: What is sampled.
-        where: File and key, for the messages.
-        name: As columns have it; by default that of the words.
+        text: The text.
+        scene: The sampled scene.
+        where: File and key, for messages.
+        name: Name in columns; by default it follows from the text.
 
     Raises:
-        SceneError: Names what is wrong and what is accepted.
+        SceneError: The text is not a quantity; the message says what is accepted.
     """
-    words = text.split()
-    if len(words) == 1:
-        return _coordinate(words[0], scene, where, name)
-    kind, rest = words[0] if words else "", words[1:]
+    parts = text.split()
+    if len(parts) == 1:
+        return _coordinate(parts[0], scene, where, name)
+    kind, arguments = parts[0] if parts else "", parts[1:]
     if not scene.points or kind not in _POINTS:
         accepted = _FORMS if scene.points else ", ".join(scene.space.names)
-        raise SceneError(f"{where}: '{text}' is no quantity, accepted: {accepted}")
+        raise SceneError(f"{where}: '{text}' is not a quantity, accepted: {accepted}")
     count = _POINTS[kind]
-    numbers = rest[count:]
-    if len(rest) < count or len(numbers) != (3 if kind == "quadratic" else 0):
+    numbers = arguments[count:]
+    if len(arguments) < count or len(numbers) != (3 if kind == "quadratic" else 0):
         raise SceneError(f"{where}: '{text}', accepted: {_FORMS}")
-    points = [_point(word, scene, where) for word in rest[:count]]
+    points = [_point(word, scene, where) for word in arguments[:count]]
     if len(set(points)) < count:
         raise SceneError(f"{where}: '{text}' names a particle twice")
-    label, unit = name or "_".join([kind, *rest[:count]]), scene.length
+    label, unit = name or "_".join([kind, *arguments[:count]]), scene.length
     if kind == "distance":
         return observables.distance(label, unit, *points)
     if kind == "cosine":
@@ -276,7 +277,7 @@ def _coordinate(word: str, scene: SampledScene, where: str, name: str) -> Observ
     names = list(scene.space.names)
     if word not in names:
         close = ", ".join(nearest(word, names) or names[:6])
-        raise SceneError(f"{where}: '{word}' is no quantity, the nearest: {close}")
+        raise SceneError(f"{where}: '{word}' is not a quantity, the nearest: {close}")
     if scene.points:
         return observables.coordinate(name or word, scene.length, names.index(word))
     return scene.defaults[names.index(word)]._replace(name=name or f"{word}.position")
@@ -291,37 +292,39 @@ def _point(word: str, scene: SampledScene, where: str) -> int:
 
 def _number(word: str, text: str, where: str) -> float:
     try:
-        found = float(word)
+        number = float(word)
     except ValueError:
-        found = float("nan")
-    if not abs(found) < 1.0e30:
-        raise SceneError(f"{where}: '{text}': '{word}' is no number")
-    return found
+        number = float("nan")
+    if not abs(number) < 1.0e30:
+        raise SceneError(f"{where}: '{text}': '{word}' is not a number")
+    return number
 
 
 def row_swept(
     space: ParticleSpace, name: str, unit: str
 ) -> tuple[Observable, ParticleSpace] | None:
-    """A row of particles as the coordinate along which forces are averaged.
+    """Take a constraint of particles as the coordinate of a mean force.
 
-    Gives what the row holds, and the space without that row; None where no row has the name.
+    Returns:
+        The coordinate, and the space without the constraint; None if no constraint has the name.
 
     Args:
-        name: Of a row of a molecule of which there is one.
-        unit: Word for its lengths.
+        space: The space.
+        name: Name of a constraint of a molecule that has one copy.
+        unit: Unit of lengths.
     """
     first = 0
     for k, kind in enumerate(space.kinds):
         for row in kind.rows:
             if kind.count == 1 and row.name == name:
-                rest = replace(kind, rows=tuple(one for one in kind.rows if one is not row))
-                kinds = [*space.kinds[:k], rest, *space.kinds[k + 1 :]]
-                return _held(row, first, unit), ParticleSpace(kinds, space.pair_forces)
+                without = replace(kind, rows=tuple(each for each in kind.rows if each is not row))
+                kinds = [*space.kinds[:k], without, *space.kinds[k + 1 :]]
+                return _coordinate_of(row, first, unit), ParticleSpace(kinds, space.pair_forces)
         first += kind.size
     return None
 
 
-def _held(row: PointRow, first: int, unit: str) -> Observable:
+def _coordinate_of(row: PointRow, first: int, unit: str) -> Observable:
     if isinstance(row, DistanceRow):
         return observables.distance(row.name, unit, first + row.i, first + row.j)
     a, n, c = (part[:, None] for part in (row.squares, row.normal, row.center))

@@ -1,4 +1,4 @@
-"""What is sampled: configurations of many chains at once, their rows and their energy."""
+"""The sampled space: configurations of many chains at once, their rows and their energy."""
 
 from __future__ import annotations
 
@@ -75,16 +75,18 @@ class Block(Protocol):
         """dg/dx, shape (m, size, n)."""
 
 
-class HeldSpace:
-    """A `Space` in which one quantity is held, beside the rows that it has.
+class FixedCoordinateSpace:
+    """A `Space` with one more constraint, which fixes a coordinate.
 
     Args:
         space: The space, with constant masses.
+        coordinate: The coordinate.
+        level: Value of the coordinate.
     """
 
     has_constant_masses = True
 
-    def __init__(self, space: Space, held: Observable, level: float) -> None:
+    def __init__(self, space: Space, coordinate: Observable, level: float) -> None:
         self.names = space.names
         self.size = space.size
         self.mass = space.mass
@@ -92,26 +94,26 @@ class HeldSpace:
         self.potential = space.potential
         self.force = space.force
         self.volume = space.volume
-        self.blocks = (HeldRows(space, held, level),)
+        self.blocks = (FixedCoordinateRows(space, coordinate, level),)
 
 
-class HeldRows:
-    """All rows of a space and, last, that of the held quantity.
+class FixedCoordinateRows:
+    """All constraint rows of a space and, last, that of the fixed coordinate.
 
     Attributes:
-        coordinates: None: all of them.
+        coordinates: None, for all coordinates.
         copies: 1.
     """
 
     coordinates = None
     copies = 1
 
-    def __init__(self, space: Space, held: Observable, level: float) -> None:
+    def __init__(self, space: Space, coordinate: Observable, level: float) -> None:
         self._blocks = space.blocks
-        self._held = held
+        self._coordinate = coordinate
         self.level = level
         names = [row for block in space.blocks for _ in range(block.copies) for row in block.rows]
-        self.rows: Sequence[str] = (*names, held.name)
+        self.rows: Sequence[str] = (*names, coordinate.name)
 
     def residual(self, x: Array) -> Array:
         """g, shape (m, n)."""
@@ -120,7 +122,7 @@ class HeldRows:
             at, n = block.coordinates, x.shape[1]
             g = block.residual(x if at is None else x[at].reshape(len(at), -1))
             parts.append(g.reshape(-1, n))
-        return np.vstack((*parts, self._held.value(x) - self.level))
+        return np.vstack((*parts, self._coordinate.value(x) - self.level))
 
     def jacobian(self, x: Array) -> Array:
         """dg/dx, shape (m, size, n)."""
@@ -131,13 +133,13 @@ class HeldRows:
             if at is None:
                 J[first : first + m] = block.jacobian(x)
             else:
-                own = block.jacobian(x[at].reshape(len(at), -1))
-                own = own.reshape(m, len(at), block.copies, n)
+                copies = block.jacobian(x[at].reshape(len(at), -1))
+                copies = copies.reshape(m, len(at), block.copies, n)
                 for copy in range(block.copies):
                     rows = first + copy + block.copies * np.arange(m)
-                    J[rows[:, None], at[None, :, copy]] = own[:, :, copy]
+                    J[rows[:, None], at[None, :, copy]] = copies[:, :, copy]
             first += m * block.copies
-        J[-1] = self._held.gradient(x)
+        J[-1] = self._coordinate.gradient(x)
         return J
 
 
@@ -174,15 +176,15 @@ class WeightedSpace:
     def gradient(self, q: Array) -> Array:
         """Gradient of `potential` by central differences, shape (size, chains).
 
-        `force` leaves the density out: it leads steps, which are accepted or not.
+        `force` omits the density, since it only guides steps that are accepted or rejected.
         """
-        found, h = np.empty(q.shape), _APART * self.scale
+        slopes, h = np.empty(q.shape), _APART * self.scale
         for i in range(self.size):
             ahead, behind = q.copy(), q.copy()
             ahead[i] += h
             behind[i] -= h
-            found[i] = (self.potential(ahead) - self.potential(behind)) / (2.0 * h)
-        return found
+            slopes[i] = (self.potential(ahead) - self.potential(behind)) / (2.0 * h)
+        return slopes
 
     def volume(self, q: Array, *, fixman: bool) -> Array:
         """0: nothing is left for it, shape (chains,)."""
@@ -235,13 +237,13 @@ def log_determinant(A: Array) -> Array:
     if m > _LOOPED:
         sign, size = np.linalg.slogdet(A.transpose(2, 0, 1))
         return np.where(sign > 0.0, size, -np.inf)
-    A, found = A.copy(), np.zeros(A.shape[2])
+    A, total = A.copy(), np.zeros(A.shape[2])
     with np.errstate(divide="ignore", invalid="ignore"):
         for i in range(m):
             for j in range(i + 1, m):
                 A[j, i + 1 :] -= A[j, i] / A[i, i] * A[i, i + 1 :]
-            found += np.log(np.maximum(A[i, i], 0.0))
-    return np.where(np.isnan(found), -np.inf, found)
+            total += np.log(np.maximum(A[i, i], 0.0))
+    return np.where(np.isnan(total), -np.inf, total)
 
 
 def inverse(A: Array) -> Array:

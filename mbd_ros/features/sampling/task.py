@@ -1,4 +1,4 @@
-"""The `sample` section of a task file: which ensemble is asked of a scene."""
+"""The `sample` section of a task file: the ensemble of a scene that is sampled."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,27 +20,33 @@ HISTOGRAM, PROFILE = "histogram.", "profile"  # tables of a result; a quantity f
 
 @dataclass(frozen=True)
 class SampleTask:
-    """An ensemble, asked of a scene.
+    """The ensemble of a scene that is sampled; its arguments are the keys of a task file.
 
     Args:
-        temperature: [K]; in reduced units the thermal energy itself.
-        thermal_energy: kT, in place of it, in the unit of energy of the scene [J].
-        method: `metropolis` is exact up to the error of sampling, `langevin` has an error that
-            falls with the square of dt.
-        samples: Samples a chain, enough for an error of averages.
-        warmup: Samples a chain before them, which are not kept.
-        steps: Steps between samples; None: 5 of particles, 20 of mechanisms.
-        dt: Step; None chooses.
-        friction: Rate at which `langevin` forgets velocities; None chooses.
-        seed: Of the random numbers.
-        fixman: Whether rows are the limit of stiff springs (Fixman's potential).
-        starts: Where chains begin: `scene`, or `random` configurations on the rows.
-        components: Whether components of the manifold are looked for; None: in small scenes.
-        kinetics: Whether kinetic energies are divided into translation, rotation and the rest,
-            and compared with those of a step of SHAKE.
-        observe: Quantities by name: `distance a b`, `cosine a b c`, .., or a joint.
+        temperature: Temperature [K]; in reduced units the thermal energy kT itself.
+        thermal_energy: Thermal energy kT in the unit of energy of the scene, in place of the
+            temperature.
+        method: metropolis is exact up to the statistical error. langevin has an error that falls
+            with the square of the step.
+        chains: Number of chains.
+        samples: Samples of each chain.
+        warmup: Samples of each chain that are discarded before the others.
+        steps: Steps between samples. By default 5 for particles and 20 for mechanisms.
+        dt: Step. By default it is chosen.
+        friction: Rate at which langevin damps velocities. By default it is chosen.
+        seed: Seed of the random numbers.
+        fixman: Take the constraints as the limit of stiff springs (Fixman's potential).
+        starts: Initial configurations of the chains: that of the scene, or random ones on the
+            constraints.
+        components: Whether to search for separate components of the constraint manifold. By
+            default only small scenes do.
+        kinetics: Also compare the kinetic energies of translation, rotation and the remaining
+            motion with those of a step of SHAKE.
+        observe: Quantity to record, such as 'distance A B', 'cosine A B C' or a joint. A task
+            file gives each a name.
         histograms: Bins of quantities: [low, high, number].
-        coordinate: Quantity along which the mean force is asked for.
+        coordinate: Quantity, constraint or joint along which the mean force is computed.
+        at: Values of the coordinate.
     """
 
     temperature: NotNegative | None = None
@@ -63,22 +69,22 @@ class SampleTask:
     at: Sequence[float] = ()
 
 
-def build_task(site: Site, given: Any) -> SampleTask:
-    """The `sample` section of a task file."""
-    return sample_task(given, site.where)
+def build_task(site: Site, entry: Any) -> SampleTask:
+    """Build the `sample` section of a task file."""
+    return sample_task(entry, site.where)
 
 
-def sample_task(given: Any, where: str) -> SampleTask:
-    """The task of some entries.
+def sample_task(entry: Any, where: str) -> SampleTask:
+    """Build a task from the keys of the section `sample`.
 
     Args:
-        given: Entries by key.
-        where: File and key, for the messages.
+        entry: Values by key.
+        where: File and key, for messages.
 
     Raises:
-        SceneError: Names key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
-    task: SampleTask = schema.call(SampleTask, given, where)
+    task: SampleTask = schema.call(SampleTask, entry, where)
     if (task.temperature is None) == (task.thermal_energy is None):
         raise SceneError(f"{where}: expected one of temperature and thermal_energy")
     if not (task.temperature or task.thermal_energy):

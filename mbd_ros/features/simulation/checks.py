@@ -1,4 +1,4 @@
-"""Warnings of `simulate`: steps, residuals of contacts, windows of stiffness."""
+"""Warnings of `simulate`: step size, residuals of contacts, stiffness of contacts."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from mbd_ros.scene.describe.stiffness_windows import (
     windows_at,
 )
 
-_LOOKS = 8  # states whose fastest rate is found, and the last one
-_FOLD_LOOKS = 2_000  # states whose rows are factorised
-_AT_REST = 1.0e-9  # of the velocity of a free fall as long: what does not move
+_RATE_SAMPLES = 8  # states whose fastest rate is computed, besides the last one
+_FOLD_SAMPLES = 2_000  # states whose constraint rows are factorised
+_AT_REST = 1.0e-9  # of the velocity of a free fall of the same duration
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
 UNITS = {"primal": "m/s", "dual": "N·s", "cone": "N·s", "correction": "m/s"}
-_WINDOW_CHECK_LOOKS = 8  # states whose window is found
-_DEPTHS = 2_000  # states whose depths are looked at
+_WINDOW_SAMPLES = 8  # states whose stiffness window is computed
+_DEPTH_SAMPLES = 2_000  # states whose penetration is checked
 
 
 def step_warnings(
@@ -47,12 +47,14 @@ def step_warnings(
     states: Sequence[State],
     events: Sequence[Event] = (),
 ) -> Iterator[str]:
-    """Warnings of the step; none for methods that choose their steps.
+    """Yield warnings about the step; none for methods that choose their steps.
 
     Args:
+        system: The simulated system.
+        method: The integrator.
         dt: Step [s].
-        states: States of all joints, one a step.
-        events: What happened on the way: a velocity that jumps there is no doubt of the step.
+        states: States of all joints after each step.
+        events: Events of the run, at which velocities may jump.
     """
     if method.stable == math.inf or not states:
         return
@@ -76,22 +78,25 @@ def step_warnings(
 def _with_jumps(
     system: System, method: Integrator, states: Sequence[State], events: Sequence[Event]
 ) -> Array:
-    """Steps in which velocities jump, or may, shape (len(states) - 1,)."""
+    """Return whether velocities may jump in each step, shape (len(states) - 1,)."""
     times = np.array([x.t for x in states])
     if method.at_velocity_level and system.layout.yielding:
         return np.ones(len(times) - 1, dtype=np.bool_)
     jumps = [event.t for event in events if (event.before.v != event.after.v).any()]
-    found = np.zeros(len(times) + 1, dtype=np.bool_)
+    has_jump = np.zeros(len(times) + 1, dtype=np.bool_)
     for side in ("left", "right"):  # an event at a sample belongs to both of its steps
-        found[np.searchsorted(times, jumps, side)] = True  # type: ignore[call-overload]
-    return found[1:-1]
+        has_jump[np.searchsorted(times, jumps, side)] = True  # type: ignore[call-overload]
+    return has_jump[1:-1]
 
 
 def _stiffness(
     system: System, method: Integrator, dt: float, states: Sequence[State]
 ) -> Iterator[str]:
-    some, worst = (*states[:: max(1, len(states) // _LOOKS)], states[-1]), (math.inf, 0.0, 0.0)
-    for x in some:
+    samples, worst = (
+        (*states[:: max(1, len(states) // _RATE_SAMPLES)], states[-1]),
+        (math.inf, 0.0, 0.0),
+    )
+    for x in samples:
         motion = _motion(system, x)
         if motion is not None:
             worst = min(worst, (longest_step(method, motion, dt), motion.rate, x.t))
@@ -106,7 +111,7 @@ def _stiffness(
 
 
 def _motion(system: System, x: State) -> LinearMotion | None:
-    """None where a state nearby has no acceleration and nothing can be told."""
+    """Return the linearised motion; None if a state nearby has no acceleration."""
     try:
         return linear_motion(system, system.reduce(x))
     except SolveError:
@@ -114,31 +119,32 @@ def _motion(system: System, x: State) -> LinearMotion | None:
 
 
 def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
-    """Where the mechanism nearly folds: beyond, it may be on another branch."""
-    if not system.held.rows:
+    """Yield a warning if the mechanism comes near a toggle, where it may change its branch."""
+    if not system.bilateral.rows:
         return
-    looked, conditions = states[:: 1 + len(states) // _FOLD_LOOKS], []
-    for x in looked:
+    samples, conditions = states[:: 1 + len(states) // _FOLD_SAMPLES], []
+    for x in samples:
         y = system.reduce(x)
-        factor = system.held.factor_at(y.t, y.q)
+        factor = system.bilateral.factor_at(y.t, y.q)
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
     if known and max(known) > TOGGLE_RISE * min(known):
-        t = looked[conditions.index(max(known))].t
+        t = samples[conditions.index(max(known))].t
         yield (
             f"near a toggle at t = {t:.6g} s: the condition number of the rows rises "
-            f"{max(known) / min(known):.0f}-fold; a step too long may leave the branch there, a "
-            "smaller dt or a tolerance tells"
+            f"{max(known) / min(known):.0f}-fold; too long a step may change the branch there, so "
+            "compare with a smaller dt or tolerance"
         )
 
 
-def window_words(
+def window_lines(
     simulation: Simulation, parts: Sequence[Any], states: Sequence[State]
 ) -> Iterator[str]:
-    """The window of each contact at the start, and warnings of what was outside on the way.
+    """Yield the stiffness window of each contact at the start, and warnings about the run.
 
     Args:
-        parts: Its contacts that give way.
+        simulation: The simulation after its run.
+        parts: Compliant contacts.
         states: States of all joints.
     """
     system, method, dt = simulation.system, simulation.integrator, simulation.dt
@@ -151,16 +157,16 @@ def window_words(
                 warned.add(window.part)
                 yield f"warning: {text}"
         yield from (f"warning: {t}" for t in _outside(simulation, parts, states, warned))
-        looked = states[:: 1 + len(states) // _DEPTHS]
-        yield from (f"warning: {text}" for text in depth_doubts(system, parts, looked))
+        samples = states[:: 1 + len(states) // _DEPTH_SAMPLES]
+        yield from (f"warning: {text}" for text in depth_doubts(system, parts, samples))
 
 
 def _outside(
     simulation: Simulation, parts: Sequence[Any], states: Sequence[State], known: set[Any]
 ) -> Iterator[str]:
-    """Contacts that were too stiff for a step on the way, each once."""
+    """Yield a warning for each contact that became too stiff for the step during the run."""
     method, dt = simulation.integrator, simulation.dt
-    for x in (*states[:: max(1, len(states) // _WINDOW_CHECK_LOOKS)], states[-1]):
+    for x in (*states[:: max(1, len(states) // _WINDOW_SAMPLES)], states[-1]):
         if known.issuperset(parts) or not method.is_explicit or method.stable == math.inf:
             return
         try:
@@ -180,28 +186,28 @@ def _outside(
                 )
 
 
-def with_residuals(table: Table, found: Sequence[Residuals]) -> Table:
-    """The table with the worst residuals of the steps that lead to each sample.
+def with_residuals(table: Table, residuals: Sequence[Residuals]) -> Table:
+    """Add columns of the largest contact residuals in the steps up to each sample.
 
     Args:
-        table: One row a sample; perhaps without the last ones.
-        found: One entry a sample.
+        table: One row per sample; the last samples may be missing.
+        residuals: One entry per sample.
     """
-    values = np.array(found[: table.rows]).reshape(-1, len(UNITS))
+    values = np.array(residuals[: table.rows]).reshape(-1, len(UNITS))
     columns = zip(UNITS.items(), values.T, strict=True)
     more = [Column(f"contacts.residual.{name}", values, unit) for (name, unit), values in columns]
     return Table([*table.columns, *more])
 
 
-def residual_line(found: Sequence[Residuals]) -> str:
-    """The worst residuals of a run.
+def residual_line(residuals: Sequence[Residuals]) -> str:
+    """Return a line about the largest residuals of a run.
 
     Args:
-        found: One entry a sample.
+        residuals: One entry per sample.
     """
-    worst = np.array(found).max(axis=0)
-    words = (
+    worst = np.array(residuals).max(axis=0)
+    texts = (
         f"{name} {value:.2g} {unit}"
         for (name, unit), value in zip(UNITS.items(), worst, strict=True)
     )
-    return f"largest residuals of contacts: {', '.join(words)}"
+    return f"largest residuals of contacts: {', '.join(texts)}"

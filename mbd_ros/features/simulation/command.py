@@ -1,10 +1,11 @@
-"""Words of `mbd-ros simulate`."""
+"""The command `mbd-ros simulate`: motions from forces."""
 
 import argparse
 from typing import TYPE_CHECKING, Any
 
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_option
 from mbd_ros.jobs.progress import say
 from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
@@ -13,78 +14,56 @@ if TYPE_CHECKING:
     from mbd_ros.features.simulation.run import Run
     from mbd_ros.scene.built_scene import Scene
 
-_OPTIONS = ("dt", "integrator", "tolerance", "solver")
-_NOT_OF_MANY = ("start", "efforts", "wrenches", "events", "task")
+_KEYS = "mbd_ros.features.simulation.task:task_of_keys"
+_JOB = "mbd_ros.features.simulation.job:simulate"
+_SCENE_OPTIONS = ("dt", "integrator", "tolerance", "solver")
+_NOT_WITH_ENSEMBLE = ("start", "efforts", "wrenches", "events", "task")
 _RUN_ARGUMENTS = ("origin", "start", "efforts", "wrenches")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `simulate` understands."""
+    """Declare the arguments of `simulate`."""
     add_scene(parser)
     parser.add_argument(
-        "-t", "--time", type=float, help="seconds to simulate (required without --task)"
+        "-t", "--time", type=float, help="Simulated time [s]; required without --task."
     )
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz), .npz, .parquet or bag (required)",
+        help="CSV (.gz), .npz, .parquet or bag for the result (required).",
     )
-    _add_method(parser)
-    _add_inputs(parser)
-    _add_tables(parser)
-
-
-def _add_method(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--integrator", help="in place of that of the scene")
+    add_option(parser, _JOB, "integrator", type=str)
+    add_option(parser, _JOB, "tolerance")
+    add_option(parser, _KEYS, "dt")
+    add_option(parser, _JOB, "solver", type=str)
     parser.add_argument(
-        "--tolerance",
-        type=float,
-        help="of the integrator, that of the scene too: largest error of a step (dopri5, dop853, "
-        "filippov), of Newton's method (gauss_legendre, generalized_alpha, rattle, shake); the "
-        "others have none",
+        "--compiled", action="store_true", help="Run steps in native code: --solver compiled."
     )
-    parser.add_argument(
-        "--dt", type=float, help="step, and interval of the output [s] (default: of the scene)"
-    )
-    parser.add_argument("--solver", help="entry type in place of that of the scene")
-    parser.add_argument(
-        "--compiled", action="store_true", help="steps in native code: --solver compiled"
-    )
-
-
-def _add_inputs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--from", dest="origin", type=path_word, help="CSV or bag with the state")
-    parser.add_argument("--start", type=float, help="[s] (default: 0.0)")
-    parser.add_argument(
-        "--efforts",
-        type=path_word,
-        help="CSV: .command of actuators; CSV or bag: .effort",
-    )
-    parser.add_argument("--wrenches", type=path_word, help="CSV or bag of the external loads")
-
-
-def _add_tables(parser: argparse.ArgumentParser) -> None:
+    add_option(parser, _KEYS, "from_", "--from", dest="origin", type=path_word)
+    add_option(parser, _KEYS, "start", only_given=True)
+    add_option(parser, _KEYS, "efforts", type=path_word)
+    add_option(parser, _KEYS, "wrenches", type=path_word)
     parser.add_argument(
         "--ensemble",
         type=path_word,
-        help="CSV, a run a row: initial states <joint>.position, .velocity, and numbers of parts "
-        "<part>.<argument>; all runs go into one table",
+        help="CSV with one run in each row: initial states <joint>.position and .velocity, and "
+        "numbers of parts <part>.<argument>. All runs go into one table.",
     )
     add_workers(parser)
     parser.add_argument(
-        "--events", type=path_word, help="the same kinds of file, for the table of events alone"
+        "--events", type=path_word, help="File for the table of events alone, as for --out."
     )
     parser.add_argument(
         "--task",
         type=path_word,
-        help="YAML whose section simulate says the same; options come before it",
+        help="Task file whose section simulate has the keys that are not given as options.",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Simulate, write the result and return the exit code."""
     from mbd_ros.features.simulation.job import simulate_to
     from mbd_ros.scene.reader import is_of_particles, load_any
 
@@ -98,50 +77,50 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("workers", "scheduler"):
         if getattr(arguments, name) is not None:
             raise DataError(f"--{name}: goes with --ensemble")
-    simulate_to(scene, _asked(scene, arguments), arguments.out, say, arguments.events)
+    simulate_to(scene, _order(scene, arguments), arguments.out, say, arguments.events)
     return OK
 
 
 def _run_ensemble(scene: "Scene", arguments: argparse.Namespace) -> int:
-    """Many runs into one table; the exit code."""
+    """Simulate many runs into one table and return the exit code."""
     from mbd_ros.features.simulation.ensemble import ensemble_to
 
-    for name, option in (("origin", "from"), *((n, n) for n in _NOT_OF_MANY)):
+    for name, option in (("origin", "from"), *((n, n) for n in _NOT_WITH_ENSEMBLE)):
         if getattr(arguments, name) is not None:
             raise DataError(f"--{option}: does not go with --ensemble")
-    where = arguments.workers, arguments.scheduler
-    asked = _asked(scene, arguments)
-    ensemble_to(scene, asked, arguments.ensemble, arguments.out, say, *where)
+    order = _order(scene, arguments)
+    workers = arguments.workers, arguments.scheduler
+    ensemble_to(scene, order, arguments.ensemble, arguments.out, say, *workers)
     return OK
 
 
-def _asked(scene: "Scene", arguments: argparse.Namespace) -> "Run":
-    """The order from the options, and else from the task file.
+def _order(scene: "Scene", arguments: argparse.Namespace) -> "Run":
+    """Return the order of the options, with the keys of the task file that they leave out.
 
     Raises:
         MbdError: The file cannot be used, or the duration is missing.
     """
     from mbd_ros.features.simulation.run import Run, options_of
 
-    words: dict[str, Any] = {"duration": arguments.time}
-    words |= {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
-    words = {name: word for name, word in words.items() if word is not None}
-    given = {name: getattr(arguments, name) for name in _OPTIONS}
+    order: dict[str, Any] = {"duration": arguments.time}
+    order |= {name: getattr(arguments, name) for name in _RUN_ARGUMENTS}
+    order = {name: value for name, value in order.items() if value is not None}
+    options = {name: getattr(arguments, name) for name in _SCENE_OPTIONS}
     if arguments.compiled:
-        if given["solver"] not in (None, "compiled"):
+        if options["solver"] not in (None, "compiled"):
             raise DataError(
-                f"--compiled: beside --solver {given['solver']}; accepted: one of both"
+                f"--compiled and --solver {options['solver']}: accepted is one of the two"
             )
-        given["solver"] = "compiled"
-    replaced: dict[str, Any] = {}
+        options["solver"] = "compiled"
+    task_options: dict[str, Any] = {}
     if arguments.task is not None:
         from mbd_ros.scene.task_reader import read_task
 
         task = read_task(arguments.task, scene).parts["simulate"]
-        words = {name: getattr(task, name) for name in ("duration", *_RUN_ARGUMENTS)} | words
-        replaced = dict(task.options)
-        if given["integrator"] is None and given["tolerance"] is not None:
-            given["integrator"] = replaced.get("integrator")
-    if "duration" not in words:
+        order = {name: getattr(task, name) for name in ("duration", *_RUN_ARGUMENTS)} | order
+        task_options = dict(task.options)
+        if options["integrator"] is None and options["tolerance"] is not None:
+            options["integrator"] = task_options.get("integrator")
+    if "duration" not in order:
         raise DataError("-t: is missing: give the seconds to simulate, or a --task")
-    return Run(**words, options=replaced | options_of(scene, **given))
+    return Run(**order, options=task_options | options_of(scene, **options))

@@ -13,7 +13,7 @@ from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError, SceneError
 from mbd_ros.features.simulation.job import Interrupted
-from mbd_ros.features.simulation.run import Run, check_words
+from mbd_ros.features.simulation.run import Run, check_run
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import MAIN, RUN, TIME, Column, Result, Table
@@ -30,8 +30,8 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.batch import Batch, Runs
 from mbd_ros.scene.variants import found_place, places_of
 
-_SHARES = 4  # tasks a worker
-_SHOWN = 5  # runs that an error names
+_TASKS_PER_WORKER = 4
+_MOST_NAMED = 5  # runs in an error
 
 
 def ensemble_to(
@@ -43,29 +43,30 @@ def ensemble_to(
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> None:
-    """Simulate from every row of a file and write one table, `run` and `time` first.
+    """Simulate a run for each row of a file, and write one table with `run` and `time` first.
 
     Args:
-        run: The order; duration and options count.
-        path: Rows, see `read_starts`.
-        out: A table; its suffix chooses the format.
-        say: Is called with each line of the summary.
-        workers: How many cores work at the same time.
-        scheduler: Of a Dask cluster.
+        scene: The scene.
+        run: The order, of which duration and options apply.
+        path: File of the initial states, as `read_starts` reads it.
+        out: Path of the table, whose suffix chooses the format.
+        say: Called with each line for people.
+        workers: Number of processes; None for one per core.
+        scheduler: Address of a Dask cluster in place of processes of this machine.
 
     Raises:
-        Interrupted: Some runs ended early; the table has what they did before.
-        MbdError: Input that cannot be used, or a place that cannot be written to.
+        Interrupted: Some runs ended early; the table has their states so far.
+        MbdError: An input cannot be used, or a file cannot be written.
     """
     refuse_overwriting(out, path)
     if is_bag(out):
         raise DataError(f"-o {out}: --ensemble writes one table: .csv, .csv.gz, .npz or .parquet")
     check_place(out)
-    check_words(scene, run)
+    check_run(scene, run)
     starts = read_starts(scene, path)
     options = {**run.options, "dt": min(float(run.options.get("dt", scene.dt)), run.duration)}
     try:
-        how, runs = _taken(scene, run.duration, starts, options, (workers, scheduler))
+        how, runs = _simulate(scene, run.duration, starts, options, (workers, scheduler))
     except MbdError as error:
         raise type(error)(f"{path}: {error}") from error
     say(how)
@@ -74,23 +75,25 @@ def ensemble_to(
     Result({MAIN: table}, metadata_of("simulate", scene, inputs, {})).to(out)
     say(f"{len(runs.known)} runs, {table.rows} states -> {out}")
     if runs.failures:
-        shown = [f"run {i} (line {i + 2}): {e}" for i, e in list(runs.failures.items())[:_SHOWN]]
-        more = len(runs.failures) - len(shown)
-        shown += [f"and {more} more"] if more else []
+        failures = [
+            f"run {i} (line {i + 2}): {e}" for i, e in list(runs.failures.items())[:_MOST_NAMED]
+        ]
+        more = len(runs.failures) - len(failures)
+        failures += [f"and {more} more"] if more else []
         raise Interrupted(
             f"{path}: {len(runs.failures)} of {len(runs.known)} runs ended early: "
-            f"{'; '.join(shown)}; what they did before is in {out}, beside the others"
+            f"{'; '.join(failures)}; their states so far are in {out}, with the other runs"
         )
 
 
-def _taken(
+def _simulate(
     scene: Scene,
     duration: float,
     starts: Starts,
     options: Mapping[str, Any],
     where: tuple[int | None, str | None],
 ) -> tuple[str, Runs]:
-    """How the runs were taken, and what they did."""
+    """Simulate all runs; also return a line about the method."""
     workers, scheduler = where
     batch = Batch(scene, len(starts.q), parameters=starts.names, threads=workers, **options)
     batch.prepare(starts.p)
@@ -100,14 +103,14 @@ def _taken(
     order = {"scene": str(scene.path), "duration": duration, "names": starts.names}
     order["options"] = dict(options)
     with open_workers(scheduler, workers or cores()) as opened:
-        size = -(-len(starts.q) // (_SHARES * max(opened.count, 1)))
+        size = -(-len(starts.q) // (_TASKS_PER_WORKER * max(opened.count, 1)))
         firsts = range(0, len(starts.q), size)
         tasks = [
             Task(f"runs {first}", f"{__name__}:take", order | _part(starts, first, size))
             for first in firsts
         ]
-        found = {task.name: result for task, result in do_all(opened, tasks)}
-    return batch.how, _joined([found[task.name] for task in tasks], list(firsts))
+        results = {task.name: result for task, result in do_all(opened, tasks)}
+    return batch.how, _join([results[task.name] for task in tasks], list(firsts))
 
 
 def _part(starts: Starts, first: int, size: int) -> dict[str, Any]:
@@ -115,26 +118,26 @@ def _part(starts: Starts, first: int, size: int) -> dict[str, Any]:
     return {name: getattr(starts, name)[some].tolist() for name in "pqvz"}
 
 
-def _joined(found: Sequence[Done], firsts: Sequence[int]) -> Runs:
-    """The runs of all tasks, in their order.
+def _join(results: Sequence[Done], firsts: Sequence[int]) -> Runs:
+    """Join the runs of all tasks in their order.
 
     Raises:
         DataError: A task has failed.
     """
     failures: dict[int, MbdError] = {}
-    for first, done in zip(firsts, found, strict=True):
+    for first, done in zip(firsts, results, strict=True):
         if done.failure:
             raise DataError(f"runs from {first} on: {done.failure}")
         failures |= {first + i: MbdError(text) for i, text in done.value["failures"]}
     return Runs(
-        np.concatenate([unpack(done.value["states"]) for done in found]),
-        np.concatenate([np.array(done.value["known"], np.int64) for done in found]),
+        np.concatenate([unpack(done.value["states"]) for done in results]),
+        np.concatenate([np.array(done.value["known"], np.int64) for done in results]),
         failures,
     )
 
 
 def ensemble_table(scene: Scene, runs: Runs) -> Table:
-    """Columns `run`, counted from 0, `time`, joints, free bodies, internal states."""
+    """Return columns `run`, counted from 0, `time`, joints, free bodies and internal states."""
     n, samples, _ = runs.states.shape
     is_known = np.arange(samples) < runs.known[:, None]
     rows, number = runs.states[is_known], np.repeat(np.arange(n), runs.known)
@@ -157,23 +160,24 @@ def ensemble_table(scene: Scene, runs: Runs) -> Table:
 
 
 def read_starts(scene: Scene, path: Path) -> Starts:
-    """The rows of a CSV file; what has no column is that of the scene.
+    """Read the initial states and parameters of runs from a CSV file.
 
     Args:
-        path: Has columns `<joint>.position`, `<joint>.velocity`, those of poses and twists of free
-            bodies, internal states, and `<part>.<argument>` as `Scene.with_` takes them.
+        scene: The scene, whose values are those of missing columns.
+        path: File with columns `<joint>.position`, `<joint>.velocity`, those of poses and twists
+            of free bodies, internal states, and `<part>.<argument>` as `Scene.with_` takes them.
 
     Raises:
-        DataError: Names file, column and what is accepted.
+        DataError: A column is not accepted; the message names file, column and accepted names.
     """
     read = read_table(path, has_times=False)
     x, count = scene.initial, len(read.values)
-    q, v, z = (np.tile(one, (count, 1)) for one in (x.q, x.v, x.z))
-    taken = set(_fill(scene, read, q, v, z))
+    q, v, z = (np.tile(values, (count, 1)) for values in (x.q, x.v, x.z))
+    states = set(_fill(scene, read, q, v, z))
     robot = scene.robot
     for row in range(count):
         scene.couplings.expand(q[row], v[row], np.zeros(robot.model.nv))
-    names = tuple(name for name in read.columns if name not in taken)
+    names = tuple(name for name in read.columns if name not in states)
     places = places_of(scene)
     for name in names:
         try:
@@ -188,7 +192,7 @@ def read_starts(scene: Scene, path: Path) -> Starts:
 
 
 def _fill(scene: Scene, read: Numbers, q: Array, v: Array, z: Array) -> Iterator[str]:
-    """Writes the states of a file into rows; names of the columns that are states."""
+    """Write the states of a file into rows, and yield the names of their columns."""
     values = dict(zip(read.columns, read.values.T, strict=True))
     robot, free = scene.robot, set(scene.couplings.independent)
     for joint in robot.joints:
@@ -200,15 +204,15 @@ def _fill(scene: Scene, read: Numbers, q: Array, v: Array, z: Array) -> Iterator
                 rows[:, at] = values[column]
                 yield column
     for base in robot.bases:
-        for words, rows, place in ((POSE, q, base.q), (TWIST, v, base.v)):
-            names = names_of(base.name, words)
-            lacking = [name for name in names if name not in values]
-            if len(lacking) == len(names):
+        for components, rows, place in ((POSE, q, base.q), (TWIST, v, base.v)):
+            names = names_of(base.name, components)
+            missing = [name for name in names if name not in values]
+            if len(missing) == len(names):
                 continue
-            if lacking:
-                raise DataError(f"{read.path}: no column {', '.join(lacking)}, beside {names[0]}")
-            given = np.column_stack([values[name] for name in names])
-            rows[:, place] = configuration_of(robot, given) if words is POSE else given
+            if missing:
+                raise DataError(f"{read.path}: no column {', '.join(missing)}, beside {names[0]}")
+            state = np.column_stack([values[name] for name in names])
+            rows[:, place] = configuration_of(robot, state) if components is POSE else state
             yield from names
     for i, name in enumerate(scene.internals.names):
         if name in values:
@@ -223,12 +227,14 @@ def _accepted(scene: Scene) -> str:
 
 
 class Starts(NamedTuple):
-    """What differs from run to run, a row a run.
+    """Initial states and parameters of n runs.
 
     Attributes:
         names: Names of the parameters.
-        q: Configurations of all joints.
-        z: Internal states, NaN for their equilibrium.
+        p: Parameters, shape (n, len(names)).
+        q: Configurations of all joints, shape (n, nq).
+        v: Velocities of all joints, shape (n, nv).
+        z: Internal states, NaN for their equilibrium, shape (n, nz).
     """
 
     names: tuple[str, ...]
@@ -239,10 +245,10 @@ class Starts(NamedTuple):
 
 
 def take(order: Mapping[str, Any]) -> dict[str, Any]:
-    """Some of the runs, in a worker.
+    """Simulate some of the runs in a worker process.
 
     Args:
-        order: Scene, duration, options, names of the parameters, and rows.
+        order: Scene, duration, options, names of the parameters, and rows of the runs.
     """
     scene, count = load_scene(order["scene"]), len(order["q"])
     names = tuple(order["names"])

@@ -1,4 +1,4 @@
-"""Events of a simulation as a table: when, which, impulses, energy, and both sides of each."""
+"""The table of events: time, guard, impulses, energy, and the states before and after."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,18 +19,19 @@ SIDES = ("before", "after")
 
 
 def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
-    """A row an event.
+    """Return a table with one row per event.
 
     Args:
-        simulation: What was simulated.
-        events: What happened.
+        simulation: The simulation.
+        events: Its events.
 
     Returns:
         `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; with contacts
-        `contacts.restitution_share`, what of their restitution was given back; `energy.before`,
+        `contacts.restitution_share`, the share of their restitution that acted; `energy.before`,
         `energy.after`, `energy.lost`; `<joint>.position.before` and so on; in a scene with phases
         `phase.before` and `phase.after`, their numbers in the order of the scene, from 0 on;
-        `<switch>.mode.before` and after: 0 while a row or surface is on, 1 or -1 beside it.
+        `<switch>.mode.before` and `.mode.after`: 0 while a constraint or surface is active, 1 or
+        -1 on its sides.
     """
     system, rows = simulation.system, simulation.system.multiplier_rows
     impulses = np.array([event.impulse for event in events]).reshape(len(events), len(rows))
@@ -65,7 +66,7 @@ def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
 
 
 def _contact_states(simulation: Simulation, modes: Array, side: str) -> Iterator[Column]:
-    """What the modes of contacts mean, as contacts show it: 0 open, 1 slip, 2 stick."""
+    """Yield the states of contacts for their modes: 0 open, 1 slip, 2 stick."""
     for cone in simulation.system.layout.cones:
         if cone.name in simulation.switches:
             first = simulation.switches.index(cone.name)
@@ -81,7 +82,7 @@ def _hit(events: Sequence[Event], guard: str) -> Array:
 
 
 def _state_columns(system: System, states: Sequence[State]) -> list[Column]:
-    """Motion of joints and free bodies, and internal states."""
+    """Return columns of joints, free bodies and internal states."""
     joints, model = system.robot.joints, system.model
     q = np.array([x.q for x in states]).reshape(len(states), model.nq)
     v = np.array([x.v for x in states]).reshape(len(states), model.nv)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.complementarity.contact_problem import Residuals
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.system import phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.ranges import SHORTEST_DT
@@ -21,17 +22,17 @@ from mbd_ros.errors import FAILED, INTERRUPTED, DataError, DivergedError, MbdErr
 from mbd_ros.features.simulation.checks import (
     residual_line,
     step_warnings,
-    window_words,
+    window_lines,
     with_residuals,
 )
 from mbd_ros.features.simulation.events import EVENTS, event_table
 from mbd_ros.features.simulation.run import (
     Run,
+    check_run,
     check_stamps,
-    check_words,
-    drives,
     initial_state,
     options_of,
+    read_inputs,
 )
 from mbd_ros.files.formats import FOLDER, format_of, suffix_of
 from mbd_ros.files.table import MAIN, TIME, Result, Table
@@ -47,7 +48,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
 from mbd_ros.scene.runs.simulation import build_simulation
 
-_HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
+_UNCOMPILED = "compiled steps take no rows near dependence, and no states that are not finite"
 
 
 def simulate(
@@ -65,36 +66,38 @@ def simulate(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Motion from forces, with constraint forces, energy and violations.
+    """Simulate a scene: its motion, constraint forces, energy and constraint violations.
 
     Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
 
     Args:
-        duration: [s].
-        start: Time at which the simulation begins [s].
-        origin: Result or file whose joint state at `start` is the initial one, in place of that
-            of the scene.
-        efforts: Result or file of the commands of actuators, or of the efforts of joints.
-        wrenches: Result or file of the external loads of the scene.
-        dt: Step of a fixed-step method, and interval of the output [s].
-        integrator: Type or entry, in place of that of the scene.
-        tolerance: Of the integrator.
-        solver: Type or entry of the tier, in place of that of the scene.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        duration: Simulated time [s].
+        start: Time at which the simulation starts [s].
+        origin: Result, table or bag with the initial joint state at `start`, in place of that of
+            the scene.
+        efforts: Result, table or bag of the inputs: `<actuator>.command` or `<joint>.effort`.
+        wrenches: Result, table or bag of the external loads of the scene.
+        dt: Step of a fixed-step method, and interval of the output [s]. By default that of the
+            scene.
+        integrator: Integrator in place of that of the scene: its type, or from Python an entry.
+        tolerance: Tolerance of the integrator: the largest error of a step of dopri5, dop853 and
+            filippov, or that of Newton's method of gauss_legendre, generalized_alpha, rattle and
+            shake. The other integrators have none.
+        solver: Solver in place of that of the scene: its type, or from Python an entry.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
         Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
-        `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
-        perhaps `<joint>.command` and `contacts.residual.primal`; of free bodies
-        `<body>.position.x` and so on. Table `events`, where something may happen at one time: see
-        `event_table`.
+        `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`;
+        with actuators `<joint>.command`, with contacts `contacts.residual.primal` and so on; for
+        free bodies `<body>.position.x` and so on. Table `events`, with the columns of
+        `event_table`, if the scene can have events.
 
     Raises:
-        Interrupted: The state diverged, equations have no solution, or steps became too short;
-            its `result` is the motion so far.
-        MbdError: Input that cannot be used.
+        Interrupted: The state diverged, the equations have no solution, or steps became too
+            short; its `result` is the motion so far.
+        MbdError: An input cannot be used.
     """
     options = options_of(scene, dt, integrator, tolerance, solver)
     run = Run(duration, origin, start, efforts, wrenches, options)
@@ -107,19 +110,23 @@ def simulate(
 
 
 def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
-    """Do what `simulate` describes, by an order."""
-    check_words(scene, run)
+    """Return the result of `simulate` for an order."""
+    check_run(scene, run)
     if not scene.robot.model.nv:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
-    sources, forces, remarks = drives(scene, run)
+    sources, forces, remarks = read_inputs(scene, run)
     options = {**run.options, "dt": _interval(scene, run)}
     simulation = build_simulation(scene, forces=forces, sources=sources, tell=announce, **options)
     x, more = initial_state(scene, run)
-    excited = scene.muscles, x, simulation.system.loads.sources.at(x.t)
-    fibers = fiber_warnings(scene.robot, *excited)
-    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x), *fibers)
+    inputs = simulation.system.loads.sources.at(x.t)
+    fibers = fiber_warnings(scene.robot, scene.muscles, x, inputs)
+    doubts = (
+        *scene.robot.inertia_warnings,
+        *start_warnings(scene.robot, scene.constraints, x),
+        *fibers,
+    )
     how = (simulation.how,) if simulation.how else ()
-    for text in (*remarks, *more, *how, *(f"warning: {text}" for text in odd)):
+    for text in (*remarks, *more, *how, *(f"warning: {text}" for text in doubts)):
         say(text)
     begin = time.perf_counter()
     states, residuals, forces, failure = _states(simulation, x, run)
@@ -139,35 +146,35 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     if failure is not None:
         return _ended(scene, result, failure)
     with about(scene.name):
-        said = [*summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
-        found = step_warnings(
+        lines = [*summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
+        warnings = step_warnings(
             simulation.system, simulation.integrator, simulation.dt, states, simulation.events
         )
-        said += [f"warning: {text}" for text in found]
-        said += [f"warning: {text}" for text in simulation.passed_stops()]
+        lines += [f"warning: {text}" for text in warnings]
+        lines += [f"warning: {text}" for text in simulation.passed_stops()]
     if scene.wrenches and run.wrenches is None:
-        say(f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values")
-    for text in said:
+        say(f"external loads without values: {', '.join(scene.wrenches)}; give --wrenches FILE")
+    for text in lines:
         say(text)
     return result
 
 
 def _interval(scene: Scene, run: Run) -> float:
-    """Interval of the output [s]; no longer than the simulation."""
+    """Return the interval of the output [s], which is at most the duration."""
     return min(float(run.options.get("dt", scene.dt)), run.duration)
 
 
 def _states(
     simulation: Simulation, x: State, run: Run
 ) -> tuple[list[State], list[Residuals], list[Array | None], MbdError | None]:
-    """States, residuals and forces of contacts on the way to each, and why they end early."""
+    """Simulate; return states, residuals and forces of contacts, and the error of an early end."""
     states: list[State] = []
     residuals: list[Residuals] = []
     forces: list[Array | None] = []
     count = round(run.duration / simulation.dt)
     duration = _duration(run, simulation.dt)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+        with np.errstate(over="ignore", invalid="ignore"):  # a divergence is an error of its own
             every = simulation.run(x, duration, _warn)
             for state in shown(every, count, "simulate"):
                 states.append(state)
@@ -184,40 +191,41 @@ def _states(
 
 
 def _duration(run: Run, dt: float) -> float:
-    """That of the run, without a last interval that is too short to have a stamp of its own."""
+    """Return the duration, without a last interval too short for a stamp of its own."""
     count = math.floor(run.duration / dt + SAME_TIME)
     is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
     return count * dt if is_sliver else run.duration
 
 
 def _warn(text: str) -> None:
-    """Warn at once, while the run continues."""
-    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
+    """Print a warning at once, while the run continues."""
+    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # erases the line of `progress`
     sys.stderr.write(f"{erased}warning: {text}\n")
     sys.stderr.flush()
 
 
 class _CtrlC(MbdError):
-    """Ctrl-C, as the reason why a simulation ended."""
+    """Ctrl-C as the reason for the end of a simulation."""
 
 
 def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
-    """Say what is to be said of contacts that give way, also where the motion diverged."""
-    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    """Report on compliant contacts, also if the motion diverged."""
+    contacts = scene.parts.get("contacts", ())
+    parts = [part for part in contacts if isinstance(part, Load) and part.is_compliant_contact]
     if parts and states:
-        for text in window_words(simulation, parts, states):
+        for text in window_lines(simulation, parts, states):
             say(text)
 
 
-def _with_residuals(table: Table, found: list[Residuals]) -> tuple[Table, list[str]]:
-    """The table with residuals of contacts, if there are any, and a line on them."""
-    if not found:
+def _with_residuals(table: Table, residuals: list[Residuals]) -> tuple[Table, list[str]]:
+    """Add residuals of contacts to the table; also return a line about them."""
+    if not residuals:
         return table, []
-    return with_residuals(table, found), [residual_line(found)]
+    return with_residuals(table, residuals), [residual_line(residuals)]
 
 
 def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
-    """The result of a simulation that ended early; raised unless Ctrl-C ended it."""
+    """Return the result of a run that Ctrl-C ended; raise that of one that ended otherwise."""
     if not result[MAIN].rows:
         raise type(failure)(f"{scene.name}: {failure}") from failure
     result.metadata["ended"] = str(failure)
@@ -232,8 +240,8 @@ class Interrupted(MbdError):
     """A simulation that ended early.
 
     Attributes:
-        result: The motion so far; None once it is in a file.
-        exit_code: Of the command line.
+        result: The motion so far; None if it is in a file.
+        exit_code: Exit code of the command line.
     """
 
     exit_code = FAILED
@@ -244,14 +252,15 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None
     """Simulate and write the result.
 
     Args:
-        out: Its suffix chooses the format.
-        say: Is called with each line of the summary.
-        events: Where the table of events goes by itself.
+        run: The order.
+        out: Path whose suffix chooses the format.
+        say: Called with each line for people.
+        events: Path for the table of events by itself.
 
     Raises:
-        Interrupted: The simulation ended early, by Ctrl-C too; the states so far are in the file
-            of `diverged_place`, named in the message.
-        MbdError: Input that cannot be used, or a place that cannot be written to.
+        Interrupted: The simulation ended early, perhaps by Ctrl-C; the message names the file of
+            `diverged_place` with the states so far.
+        MbdError: An input cannot be used, or a file cannot be written.
     """
     places = [out] if events is None else [out, events]
     sources = [source for source in (run.origin, run.efforts, run.wrenches) if source is not None]
@@ -266,7 +275,7 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None
 
 
 def diverged_place(out: Path) -> Path:
-    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
+    """Return the path of a run that ended early: o.csv -> o.diverged.csv, bag -> bag_diverged.
 
     Raises:
         DataError: No format has the suffix of `out`.
@@ -278,24 +287,25 @@ def diverged_place(out: Path) -> Path:
 
 
 def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
-    """Refuse a file of events that cannot be.
+    """Refuse an impossible file of events.
 
     Raises:
-        DataError: It is that of the motion, or nothing in the scene has events.
+        DataError: It is the file of the motion, or nothing in the scene has events.
     """
     if events.resolve() == out.resolve():
-        raise DataError(f"--events {events}: is -o, choose another name")
+        raise DataError(f"--events {events}: is the file of -o, choose another name")
     if not build_simulation(scene, **run.options).guards:
-        raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
+        raise DataError(f"--events: {scene.name} has no events, such as impacts")
 
 
 def summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
-    """Lines on the steps that were taken, their cost, and what they kept.
+    """Yield lines about the steps, their cost, and the conservation of energy and constraints.
 
     Args:
-        simulation: After its run.
-        wall: Time that the run took [s].
-        evaluations: How often accelerations were computed.
+        simulation: The simulation after its run.
+        table: Its samples.
+        wall: Wall time of the run [s].
+        evaluations: Number of evaluations of accelerations.
     """
     duration = table[TIME][-1] - table[TIME][0]
     energy, position, velocity = (table[name] for name in BALANCE)
@@ -307,7 +317,7 @@ def summary(simulation: Simulation, table: Table, wall: float, evaluations: int)
         f"evaluations ({per_step:.2f} a step)"
     )
     if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.handed_over:
-        yield f"{simulation.stepper.handed_over} of the steps were plain: {_HANDED_OVER}"
+        yield f"{simulation.stepper.handed_over} of the steps were not compiled: {_UNCOMPILED}"
     yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
     yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
     yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
@@ -325,40 +335,40 @@ def summary(simulation: Simulation, table: Table, wall: float, evaluations: int)
 
 
 def write_result(places: Sequence[Path], simulation: Callable[[], Result], say: Say) -> None:
-    """Write the result of a simulation; where it ends early, the motion so far.
+    """Write the result of a simulation, or the motion so far if it ends early.
 
     Args:
-        places: The file of the result, and perhaps one of its events alone.
-        simulation: Simulates; Ctrl-C may end it.
-        say: Is called with a line for each file.
+        places: File of the result, and perhaps a file for its events.
+        simulation: Function that simulates; Ctrl-C may end it.
+        say: Called with a line for each file.
 
     Raises:
-        Interrupted: The simulation ended early; names the files of `diverged_place`.
+        Interrupted: The simulation ended early; the message names the files of `diverged_place`.
     """
     try:
         result = simulation()
     except Interrupted as early:
         assert early.result is not None
-        raise Interrupted(f"{early}; {_kept(places, early.result)}") from early
+        raise Interrupted(f"{early}; {_write_early(places, early.result)}") from early
     if "ended" in result.metadata:
-        stopped = Interrupted(f"{result.metadata['ended']}; {_kept(places, result)}")
+        stopped = Interrupted(f"{result.metadata['ended']}; {_write_early(places, result)}")
         stopped.exit_code = INTERRUPTED
         raise stopped
-    for text in _written(result, *places):
+    for text in _write(result, *places):
         say(text)
 
 
-def _kept(places: Sequence[Path], result: Result) -> str:
-    """Write the motion so far; a failure must not hide why the run ended."""
+def _write_early(places: Sequence[Path], result: Result) -> str:
+    """Write the motion so far; a failure must not hide the reason for the early end."""
     try:
-        texts = list(_written(result, *map(diverged_place, places)))
+        texts = list(_write(result, *map(diverged_place, places)))
     except DataError as error:
         return f"the states so far are lost: {error}"
     return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)
 
 
-def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
-    """Write the files; a text for each."""
+def _write(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
+    """Write the files, and yield a line for each."""
     result.to(out)
     yield f"{result[MAIN].rows} states -> {out}"
     if events is not None:

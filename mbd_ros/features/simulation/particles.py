@@ -117,7 +117,7 @@ def _check_times(duration: float, dt: float, every: int) -> None:
 
 
 class ParticleSample(NamedTuple):
-    """What is kept of a state; arrays that nobody asked for are empty."""
+    """Recorded quantities of a state; arrays that are not recorded are empty."""
 
     balance: tuple[float, ...]
     positions: Array
@@ -146,7 +146,7 @@ def _samples(
 
 
 def sample_of(system: ParticleSystem, x: State, wanted: Sequence[str]) -> ParticleSample:
-    """What is kept of a state.
+    """Return the recorded quantities of a state.
 
     Raises:
         DivergedError: Its energy is not finite.

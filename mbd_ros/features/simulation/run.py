@@ -1,4 +1,4 @@
-"""The order of a simulation, and what it begins with: first state, commands and loads."""
+"""The order of a simulation, and its start: initial state, commands and loads."""
 
 import inspect
 import math
@@ -20,7 +20,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import TIME, TIME_LIMIT
 from mbd_ros.jobs.arguments import about
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion, read_wrenches
 from mbd_ros.scene.built_scene import Scene, Solver
@@ -29,7 +29,7 @@ from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import PARTS, resolve
 
 MOST_ROWS = 10_000_000  # some kilobytes each until they are written
-_RESOLVED = 64.0  # rounding errors of the time that a step must be longer than
+_RESOLVED = 64.0  # smallest step, in rounding errors of the time
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class Run:
     """Order of a simulation.
 
     Attributes:
-        duration: [s].
-        origin: Result, file or bag whose joint state at `start` is the initial one; None takes
-            that of the scene.
-        start: Time at which the simulation begins [s].
-        efforts: Result, file or bag. With actuators their `.command`, or `.effort` of
-            those that take the torque of their joint, held between samples. Without actuators
-            `.effort` of the joints, linear in between.
+        duration: Simulated time [s].
+        origin: Result, file or bag with the initial joint state at `start`; None takes the
+            initial state of the scene.
+        start: Time at which the simulation starts [s].
+        efforts: Result, file or bag of the inputs. With actuators, their `.command`, or `.effort`
+            if they take the torque of their joint, constant between samples. Without actuators,
+            `.effort` of the joints, linear between samples.
         wrenches: Result, file or bag of the external loads of the scene.
         options: Keyword arguments of `Scene.simulation`.
     """
@@ -57,10 +57,10 @@ class Run:
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """Its part in the metadata of the result."""
-        asked = {"duration": self.duration, "start": self.start, **self.options}
+        """Entry of the order in the metadata of the result."""
+        times = {"duration": self.duration, "start": self.start, **self.options}
         files = {"from": self.origin, "efforts": self.efforts, "wrenches": self.wrenches}
-        return asked | files
+        return times | files
 
 
 def options_of(
@@ -70,21 +70,21 @@ def options_of(
     tolerance: float | None = None,
     solver: str | Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Keyword arguments of `Scene.simulation`.
+    """Return keyword arguments of `Scene.simulation`; None leaves those of the scene.
 
     Args:
-        dt: Step, and interval of the output [s]; None: that of the scene, as below.
-        integrator: Its type, or a whole entry.
-        tolerance: Of that integrator, or else of that of the scene.
-        solver: Type of the tier, or a whole entry.
+        dt: Step, and interval of the output [s].
+        integrator: Type of the integrator, or its entry.
+        tolerance: Tolerance of that integrator, or without one of that of the scene.
+        solver: Type of the solver, or its entry.
 
     Raises:
         MbdError: There is no such integrator, or it does not take that tolerance.
     """
     options: dict[str, Any] = {} if dt is None else {"dt": dt}
     if isinstance(integrator, Mapping):
-        more = {} if tolerance is None else {"tolerance": tolerance}
-        method: Mapping[str, Any] | None = {**integrator, **more}
+        change = {} if tolerance is None else {"tolerance": tolerance}
+        method: Mapping[str, Any] | None = {**integrator, **change}
     else:
         method = method_entry(scene, integrator, tolerance)
     if method is not None:
@@ -97,11 +97,11 @@ def options_of(
 def method_entry(
     scene: Scene, integrator: str | None, tolerance: float | None
 ) -> dict[str, Any] | None:
-    """Entry of the integrator that the options ask for; None leaves that of the scene.
+    """Return the entry of the integrator for two options; None leaves that of the scene.
 
     Args:
         integrator: Value of `--integrator`.
-        tolerance: Value of `--tolerance`, for that integrator or else for that of the scene.
+        tolerance: Value of `--tolerance`, for that integrator or without one that of the scene.
 
     Raises:
         MbdError: There is no such integrator, or it does not take that tolerance.
@@ -131,11 +131,11 @@ def _with_tolerance() -> list[str]:
     return [name for name, k in kinds.items() if "tolerance" in inspect.signature(k).parameters]
 
 
-def check_words(scene: Scene, run: Run) -> None:
+def check_run(scene: Scene, run: Run) -> None:
     """Refuse an impossible order before anything is read.
 
     Raises:
-        MbdError: Names the option, what is wrong with it and what is accepted.
+        MbdError: An option is not accepted; the message names it and accepted values.
     """
     _check_times(scene, run)
     if "solver" in run.options:
@@ -143,49 +143,49 @@ def check_words(scene: Scene, run: Run) -> None:
 
 
 def _check_times(scene: Scene, run: Run) -> None:
-    """Every output time must be a stamp of its own."""
+    """Refuse output times that would share a stamp."""
     dt = run.options.get("dt", scene.dt)
     refuse_dt(run.duration, "-t", DataError)
     refuse_dt(dt, "--dt", DataError)
     end = run.start + run.duration
     if not max(abs(run.start), abs(end)) <= TIME_LIMIT:
         raise DataError(
-            f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
+            f"--start: {run.start:g} s must be finite, and the end within {TIME_LIMIT:g} s"
         )
-    shown = _shown(scene, run)
+    step = _step_text(scene, run)
     if dt < _RESOLVED * math.ulp(max(abs(run.start), abs(end))):
-        raise DataError(f"{shown} is lost in rounding between {run.start:g} and {end:g} s")
+        raise DataError(f"{step} is lost in rounding between {run.start:g} and {end:g} s")
     if run.duration / dt > MOST_ROWS:
         raise DataError(
-            f"{shown}: {run.duration / dt:.3g} rows in -t {run.duration:g} s, accepted are "
+            f"{step}: {run.duration / dt:.3g} rows in -t {run.duration:g} s, accepted are "
             f"{MOST_ROWS:g}; with --tolerance, dt is no more than the interval of the output"
         )
 
 
-def _shown(scene: Scene, run: Run) -> str:
-    """Origin and value of the step."""
+def _step_text(scene: Scene, run: Run) -> str:
+    """Return origin and value of the step for messages."""
     if "dt" in run.options:
         return f"--dt: {run.options['dt']:g} s"
     return f"{scene.name}: dt: {scene.dt:g} s"
 
 
 def check_stamps(scene: Scene, run: Run, out: Path) -> None:
-    """Refuse times that the stamps of a bag cannot carry.
+    """Refuse times that the stamps of a bag cannot hold.
 
     Raises:
-        DataError: Names the option.
+        DataError: A time does not fit; the message names its option.
     """
     dt = run.options.get("dt", scene.dt)
     if is_bag(out) and run.start < 0:
         raise DataError(f"--start: {run.start:g} s: the stamps of a bag are >= 0")
     if is_bag(out) and run.start == 0 and dt < 1.5 * NANOSECOND:
         raise DataError(
-            f"{_shown(scene, run)}: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s"
+            f"{_step_text(scene, run)}: must be >= 2e-09 s, the stamps of a bag start with 1 ns"
         )
 
 
 def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
-    """State of all joints at the start, from the scene or a file, and remarks.
+    """Return the initial state of all joints, from the scene or a file, and remarks.
 
     Raises:
         DataError: The file has no sample at that time.
@@ -202,7 +202,7 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
         required=required,
         bodies=bodies,
         members=members,
-        sliding=scene.robot.sliding,
+        sliding=scene.robot.prismatic_joints,
     ).motion
     stamp = round(run.start / NANOSECOND)
     row = int(np.argmin(np.abs(motion.stamps - stamp)))
@@ -221,16 +221,16 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     scene.couplings.expand(q, v, np.zeros(scene.robot.model.nv))
     resting = _place_bodies(scene.robot, motion, row, q, v)
     free = scene.couplings.independent
-    lacking = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
-    lacking += resting
+    missing = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
+    missing += resting
     where = f"{name_of(run.origin)}: no velocity of"
-    said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
+    remarks = [f"{where} {join_names(missing)}: they start at rest"] if missing else []
     z, more = _internal_states(scene, run.origin, row)
-    return State(run.start, q, v, z), said + more
+    return State(run.start, q, v, z), remarks + more
 
 
 def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:
-    """Put the free bodies of a sample into q and v; those that have no velocity there."""
+    """Write the free bodies of a sample into q and v; return those without a velocity."""
     resting = []
     for base, body in zip(robot.bases, motion.bodies, strict=True):
         q[base.q] = configuration_of(robot, body.pose[row])
@@ -242,51 +242,52 @@ def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) ->
 
 
 def _internal_states(scene: Scene, origin: Source, row: int) -> tuple[Array, list[str]]:
-    """Internal states of a sample, those of the scene where there are none, and remarks."""
+    """Return the internal states of a sample, or else those of the scene, and remarks."""
     first, names = scene.initial.z, scene.internals.names
     columns = read_columns(origin, names)
     z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
-    lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
-    where = f"{name_of(origin)}: no column {listed(lacking)}"
-    return z, [f"{where}: as the scene starts"] if lacking else []
+    missing = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
+    where = f"{name_of(origin)}: no column {join_names(missing)}"
+    return z, [f"{where}: they start as in the scene"] if missing else []
 
 
-def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSource], list[Load], list[str]]:
-    """Sources of inputs by part, force terms that come from files, and remarks.
+def read_inputs(scene: Scene, run: Run) -> tuple[dict[str, InputSource], list[Load], list[str]]:
+    """Read the sources of inputs by part, the forces that come from files, and remarks.
 
     Raises:
-        DataError: A file that cannot be read, or that lacks a column or topic.
+        DataError: A file cannot be read, or has no column or topic that is needed.
     """
-    sources, said = _wrenches(scene, run), list[str]()
+    sources, remarks = _wrenches(scene, run), list[str]()
     if run.efforts is not None and scene.muscles:
-        excited, said = _excitations(scene, run.efforts)
-        sources |= excited
+        excitations, remarks = _excitations(scene, run.efforts)
+        sources |= excitations
         if not scene.actuators:
-            return sources, [], said
+            return sources, [], remarks
     commanded = tuple(name for names in command_names(scene.actuators) for name in names)
     if run.efforts is None:
         return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
-    members, sliding = scene.robot.members, scene.robot.sliding
+    members, sliding = scene.robot.members, scene.robot.prismatic_joints
     motion = read_motion(run.efforts, names, required=(), members=members, sliding=sliding).motion
     where = name_of(run.efforts)
     if commanded:
         with about(where):
-            return sources | _held(scene, motion, _commands(scene, where, motion)), [], said
+            commands = _command_sources(scene, motion, _commands(scene, where, motion))
+            return sources | commands, [], remarks
     if motion.effort is None:
         raise DataError(f"{where}: no column <joint>.effort of {', '.join(names)}")
     times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
     gaps = np.isnan(motion.effort).any(axis=0)
-    lacking = [name for name, gap in zip(names, gaps, strict=True) if gap]
+    missing = [name for name, gap in zip(names, gaps, strict=True) if gap]
     part = resolve("forces", "prescribed_torque", "--efforts")
-    said = [f"{where}: no effort of {listed(lacking)}: 0 there"] if lacking else []
+    remarks = [f"{where}: no effort of {join_names(missing)}: it is 0"] if missing else []
     with about(where):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
-    return sources, [torque], said
+    return sources, [torque], remarks
 
 
 def _wrenches(scene: Scene, run: Run) -> dict[str, InputSource]:
-    """Sources of external loads by name: straight lines between samples."""
+    """Return the sources of external loads by name, linear between samples."""
     refuse_unused(scene, run.wrenches)
     if run.wrenches is None:
         return {}
@@ -294,12 +295,13 @@ def _wrenches(scene: Scene, run: Run) -> dict[str, InputSource]:
     samples = read_wrenches(run.wrenches, topics)
     with about(name_of(run.wrenches)):
         return {
-            name: LinearTable(one.stamps * NANOSECOND, one.wrench) for name, one in samples.items()
+            name: LinearTable(load.stamps * NANOSECOND, load.wrench)
+            for name, load in samples.items()
         }
 
 
 def _excitations(scene: Scene, origin: Source) -> tuple[dict[str, InputSource], list[str]]:
-    """Sources of muscles by name, held between samples, and remarks.
+    """Return the excitations of muscles by name, constant between samples, and remarks.
 
     Raises:
         DataError: The file has no excitation of any muscle.
@@ -307,51 +309,52 @@ def _excitations(scene: Scene, origin: Source) -> tuple[dict[str, InputSource], 
     names, where = [f"{part.name}.excitation" for part in scene.muscles], name_of(origin)
     columns = read_columns(origin, (TIME, *names))
     if columns is None or np.isnan(columns[:, 1:]).all():
-        raise DataError(f"{where}: no column {listed(names)}")
+        raise DataError(f"{where}: no column {join_names(names)}")
     times, values = columns[:, 0], columns[:, 1:]
-    given = ~np.isnan(values).any(axis=0)
+    has_values = ~np.isnan(values).any(axis=0)
     with about(where):
-        held: dict[str, InputSource] = {
+        sources: dict[str, InputSource] = {
             part.name: HeldTable(times, values[:, [i]])
             for i, part in enumerate(scene.muscles)
-            if given[i]
+            if has_values[i]
         }
-    lacking = [name for name, is_given in zip(names, given, strict=True) if not is_given]
-    return held, [f"{where}: no {listed(lacking)}: the least there"] if lacking else []
+    missing = [name for name, has in zip(names, has_values, strict=True) if not has]
+    remark = f"{where}: no {join_names(missing)}: the least excitation is used"
+    return sources, [remark] if missing else []
 
 
-def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSource]:
-    """Sources of actuators by name, from all their commands in order."""
+def _command_sources(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSource]:
+    """Return the sources of actuators by name, from all commands in their order."""
     times = motion.stamps * NANOSECOND
     return {part.name: HeldTable(times, commands[:, part.u]) for part in scene.actuators}
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:
-    """Commands of the actuators, from `.command`; from `.effort` where that is the same.
+    """Return the commands of actuators, from `.command`, or from `.effort` if that is the same.
 
     Raises:
-        DataError: Commands that are not there, and why an effort is none.
+        DataError: Commands are missing, and efforts cannot replace them.
     """
     unknown = np.full((len(motion.stamps), len(motion.names)), np.nan)
-    given = unknown.copy() if motion.command is None else motion.command.copy()
+    commands = unknown.copy() if motion.command is None else motion.command.copy()
     effort = unknown if motion.effort is None else motion.effort
     for actuator, names in zip(scene.actuators, command_names(scene.actuators), strict=True):
         for name in names:
             i = motion.names.index(name)
-            if not np.isnan(given[:, i]).all():
+            if not np.isnan(commands[:, i]).all():
                 continue
             if not actuator.takes and name in actuator.joints:
-                given[:, i] = effort[:, i]
+                commands[:, i] = effort[:, i]
             elif not np.isnan(effort[:, i]).all():
                 raise DataError(
                     f"{where}: no column {name}.command: its actuator takes the {actuator.takes}, "
                     f"{name}.effort is the torque of the joint; simulate and inverse write both "
                     "into tables"
                 )
-    lacking = [name for name, u in zip(motion.names, given.T, strict=True) if np.isnan(u).any()]
-    if lacking:
+    missing = [n for n, u in zip(motion.names, commands.T, strict=True) if np.isnan(u).any()]
+    if missing:
         raise DataError(
-            f"{where}: commands of {', '.join(lacking)} are missing: no column <joint>.command, "
+            f"{where}: commands of {', '.join(missing)} are missing: no column <joint>.command, "
             "nor <joint>.effort for an actuator that takes the torque of its joint"
         )
-    return given
+    return commands

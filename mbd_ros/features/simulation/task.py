@@ -16,14 +16,14 @@ from mbd_ros.scene.schema.locate import find_file
 
 @dataclass(frozen=True)
 class SimulateTask:
-    """A simulation, asked of a scene.
+    """A simulation of a scene, as its task file describes it.
 
     Attributes:
-        duration: [s].
-        start: Time at which it begins [s].
-        origin: Table or bag whose joint state at `start` is the initial one, `from` in the file;
-            None takes that of the scene.
-        efforts: Table or bag of the commands of the actuators.
+        duration: Simulated time [s].
+        start: Time at which the simulation starts [s].
+        origin: Table or bag with the initial joint state at `start`, `from` in the file; None
+            takes the initial state of the scene.
+        efforts: Table or bag of the commands of actuators, or of the efforts of joints.
         wrenches: Table or bag of the external loads.
         options: Keyword arguments of `Scene.simulation`, which replace sections of the scene.
     """
@@ -36,17 +36,17 @@ class SimulateTask:
     options: Mapping[str, Any]
 
 
-def build_task(site: Site, given: Any) -> SimulateTask:
-    """The `simulate` section of a task file.
+def build_task(site: Site, entry: Any) -> SimulateTask:
+    """Build the `simulate` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
-    task: SimulateTask = schema.call(_task, given, site.where, site)
+    task: SimulateTask = schema.call(task_of_keys, entry, site.where, site)
     return task
 
 
-def _task(
+def task_of_keys(
     site: Site,
     *,
     duration: float,
@@ -59,6 +59,21 @@ def _task(
     efforts: str | None = None,
     wrenches: str | None = None,
 ) -> SimulateTask:
+    """Build a task; the keyword arguments are the keys of the section `simulate`.
+
+    Args:
+        site: Place of the section in its file.
+        duration: Simulated time [s].
+        start: Time at which the simulation starts [s].
+        dt: Step of a fixed-step method, and interval of the output [s]. By default that of the
+            scene.
+        integrator: Integrator in place of that of the scene.
+        stabilization: Stabilization in place of that of the scene.
+        solver: Solver in place of that of the scene.
+        from_: Table or bag with the initial joint state, in place of that of the scene.
+        efforts: Table or bag of the inputs: `<actuator>.command` or `<joint>.effort`.
+        wrenches: Table or bag of the external loads.
+    """
     where = site.where
     refuse_dt(duration, f"{where}.duration", SceneError)
     if dt is not None:

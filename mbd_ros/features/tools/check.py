@@ -1,4 +1,4 @@
-"""The command `mbd-ros check`: parts that a scene builds and leaves out, and their cost."""
+"""The command `mbd-ros check`: the parts that a scene builds, and the cost of a step."""
 
 import argparse
 from dataclasses import replace
@@ -9,17 +9,18 @@ from mbd_ros.jobs.progress import announce, say_all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `check` understands."""
+    """Declare the arguments of `check`."""
     add_scene(parser)
     parser.add_argument(
         "--compiled",
         action="store_true",
-        help="as with solver auto: what is compiled and what a step costs, or why not",
+        help="Compile the scene as solver auto does, and print the cost of a step, or why it "
+        "cannot be compiled.",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Print the report and return the exit code."""
     from mbd_ros.scene.describe.check import describe
     from mbd_ros.scene.reader import is_of_particles, load_any
 

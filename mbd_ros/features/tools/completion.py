@@ -1,6 +1,6 @@
-"""Scripts that complete the words of `mbd-ros`, a function each shell: `mbd-ros completion`.
+"""The command `mbd-ros completion`: scripts that complete the command line in a shell.
 
-The words and their places are read from the parsers of the commands.
+Commands, options and values are read from the parsers of the commands.
 """
 
 import argparse
@@ -45,10 +45,10 @@ class Option(NamedTuple):
     """An option of a command.
 
     Attributes:
-        names: Such as `-o` and `--out`.
-        text: What it does.
-        takes: Whether a value follows it.
-        values: The possible values, where they can be listed.
+        names: Spellings, such as `-o` and `--out`.
+        text: Description.
+        takes: Whether a value follows.
+        values: The accepted values, if they can be listed.
         files: Whether the value is a file.
     """
 
@@ -59,13 +59,14 @@ class Option(NamedTuple):
     files: bool
 
 
-class Words(NamedTuple):
-    """Words that may follow a command.
+class CommandArguments(NamedTuple):
+    """Arguments that a command accepts.
 
     Attributes:
-        text: What the command does.
-        values: Words without a dash, where they can be listed.
-        files: Whether files may stand there.
+        text: Description of the command.
+        options: Options.
+        values: Accepted arguments without a dash, if they can be listed.
+        files: Whether files are accepted.
     """
 
     text: str
@@ -74,8 +75,8 @@ class Words(NamedTuple):
     files: bool
 
 
-def bash(commands: Mapping[str, Words]) -> Iterator[str]:
-    """For bash: `eval "$(mbd-ros completion bash)"`."""
+def bash(commands: Mapping[str, CommandArguments]) -> Iterator[str]:
+    """Yield a script for bash: `eval "$(mbd-ros completion bash)"`."""
 
     def offer(values: Sequence[str], files: bool) -> str:
         return f"words={quote(' '.join(values))} files={'1' if files else ''}"
@@ -85,8 +86,8 @@ def bash(commands: Mapping[str, Words]) -> Iterator[str]:
     yield _BASH_END
 
 
-def zsh(commands: Mapping[str, Words]) -> Iterator[str]:
-    """For zsh: `eval "$(mbd-ros completion zsh)"`, after compinit."""
+def zsh(commands: Mapping[str, CommandArguments]) -> Iterator[str]:
+    """Yield a script for zsh: `eval "$(mbd-ros completion zsh)"`, after compinit."""
 
     def offer(values: Sequence[str], files: bool) -> str:
         return f"compadd -- {join(values)}{'; _files' if files else ''}"
@@ -96,23 +97,23 @@ def zsh(commands: Mapping[str, Words]) -> Iterator[str]:
     yield _ZSH_END
 
 
-def fish(commands: Mapping[str, Words]) -> Iterator[str]:
-    """For fish: `mbd-ros completion fish | source`."""
+def fish(commands: Mapping[str, CommandArguments]) -> Iterator[str]:
+    """Yield a script for fish: `mbd-ros completion fish | source`."""
     line = "complete -c mbd-ros"
-    yield f"{line} -n __fish_use_subcommand -f -l version -d 'show it and exit'"
-    for name, words in commands.items():
-        yield f"{line} -n __fish_use_subcommand -f -a {name} -d {_fish(words.text)}"
+    yield f"{line} -n __fish_use_subcommand -f -l version -d 'show version and exit'"
+    for name, accepted in commands.items():
+        yield f"{line} -n __fish_use_subcommand -f -a {name} -d {_fish(accepted.text)}"
         mine = f"{line} -n '__fish_seen_subcommand_from {name}'"
-        files = "" if words.files else " -f"
-        yield f"{mine}{files} -a {_fish(' '.join(words.values))}"
-        for option in words.options:
+        files = "" if accepted.files else " -f"
+        yield f"{mine}{files} -a {_fish(' '.join(accepted.values))}"
+        for option in accepted.options:
             names = [f"-{'l' if n[1] == '-' else 's'} {n.lstrip('-')}" for n in option.names]
             value = f" -{'r' if option.files else 'x'} -a {_fish(' '.join(option.values))}"
-            told = f" -d {_fish(option.text)}"
-            yield f"{mine} {' '.join(names)}{value if option.takes else ''}{told}"
+            text = f" -d {_fish(option.text)}"
+            yield f"{mine} {' '.join(names)}{value if option.takes else ''}{text}"
 
 
-SHELLS: Mapping[str, Callable[[Mapping[str, Words]], Iterator[str]]] = {
+SHELLS: Mapping[str, Callable[[Mapping[str, CommandArguments]], Iterator[str]]] = {
     "bash": bash,
     "zsh": zsh,
     "fish": fish,
@@ -120,27 +121,29 @@ SHELLS: Mapping[str, Callable[[Mapping[str, Words]], Iterator[str]]] = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `completion` understands."""
-    parser.add_argument("shell", choices=list(SHELLS), help="whose language the script is in")
+    """Declare the arguments of `completion`."""
+    parser.add_argument("shell", choices=list(SHELLS), help="Shell that runs the script.")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the script; the exit code."""
+    """Print the script and return the exit code."""
     for line in SHELLS[arguments.shell](all_words()):
-        sys.stdout.write(f"{line}\n")  # whole, for a program
+        sys.stdout.write(f"{line}\n")  # unchanged, since a shell reads it
     return OK
 
 
-def all_words() -> Mapping[str, Words]:
-    """Command -> what may follow it; of commands of other packages only the name."""
+def all_words() -> Mapping[str, CommandArguments]:
+    """Return the arguments of all commands; none for commands of other packages."""
     scenes = list(embedded_scenes())
-    found = {name: _words(name, scenes) for name in COMMANDS}
-    return found | {
-        name: Words("", (), (), True) for name in added_commands() if name not in found
+    commands = {name: _arguments_of(name, scenes) for name in COMMANDS}
+    return commands | {
+        name: CommandArguments("", (), (), True)
+        for name in added_commands()
+        if name not in commands
     }
 
 
-def _words(name: str, scenes: Sequence[str]) -> Words:
+def _arguments_of(name: str, scenes: Sequence[str]) -> CommandArguments:
     parser = argparse.ArgumentParser()
     command_module(name).add_arguments(parser)
     options: list[Option] = []
@@ -155,25 +158,25 @@ def _words(name: str, scenes: Sequence[str]) -> Words:
         else:
             values += known
             files |= is_file
-    return Words(COMMANDS[name].text, options, values, files)
+    return CommandArguments(COMMANDS[name].text, options, values, files)
 
 
 def _cases(
-    commands: Mapping[str, Words], offer: Callable[[Sequence[str], bool], str]
+    commands: Mapping[str, CommandArguments], offer: Callable[[Sequence[str], bool], str]
 ) -> Iterator[str]:
-    """By command, and by the word before, in what bash and zsh have in common."""
-    for name, words in commands.items():
-        flags = [flag for option in words.options for flag in option.names]
+    """Yield cases by command and previous argument, in the common syntax of bash and zsh."""
+    for name, accepted in commands.items():
+        flags = [flag for option in accepted.options for flag in option.names]
         yield f"    {quote(name)}) case $before in"
-        for option in words.options:
+        for option in accepted.options:
             if option.takes:
                 yield f"      {'|'.join(option.names)}) {offer(option.values, option.files)} ;;"
         yield f"      *) if [[ $current == -* ]]; then {offer(flags, False)}"
-        yield f"         else {offer(words.values, words.files)}; fi ;;"
+        yield f"         else {offer(accepted.values, accepted.files)}; fi ;;"
         yield "      esac ;;"
 
 
 def _fish(text: str) -> str:
-    """Quoted as fish reads it."""
+    """Return a text quoted for fish."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

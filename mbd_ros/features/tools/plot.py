@@ -1,4 +1,4 @@
-"""Words of `mbd-ros plot`."""
+"""The command `mbd-ros plot`: a picture of a result."""
 
 import argparse
 
@@ -9,31 +9,38 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `plot` understands."""
+    """Declare the arguments of `plot`."""
+    from mbd_ros.files.table import MAIN
+
     parser.add_argument(
-        "result", type=path_word, help="CSV (.gz), .npz, .parquet, .mot, .sto, .trc, .c3d or bag"
+        "result", type=path_word, help="CSV (.gz), .npz, .parquet, .mot, .sto, .trc, .c3d or bag."
     )
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help=".png, .svg or .pdf (required)"
+        "-o",
+        "--out",
+        type=path_word,
+        required=True,
+        help="Picture: .png, .svg or .pdf (required).",
     )
     parser.add_argument(
         "--columns",
         nargs="+",
-        help="names, or last words of names: effort (default: positions, velocities, efforts and "
-        "multipliers)",
+        help="Names of columns, or the ends of names, such as effort. By default positions, "
+        "velocities, efforts and multipliers are drawn.",
     )
     parser.add_argument(
         "--power-flow",
         action="store_true",
-        help="bands of the power from segment to segment, of a result of inverse --power",
+        help="Draw the power that flows from segment to segment, from a result of "
+        "`mbd-ros inverse --power`.",
     )
     parser.add_argument(
-        "--table", default="samples", help="table of the result (default: %(default)s)"
+        "--table", default=MAIN, help="Table of the result that is drawn (default: %(default)s)."
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Draw the picture and return the exit code."""
     from mbd_ros.files.formats import PICTURES
     from mbd_ros.files.table import read_result
     from mbd_ros.files.text_file import refuse_overwriting
@@ -45,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         from mbd_ros.files.power_flow import power_flow
 
         if arguments.columns is not None:
-            raise DataError("--power-flow chooses its columns; accepted: it or --columns")
+            raise DataError("--power-flow and --columns: accepted is one of the two")
         save(power_flow(result, arguments.table), arguments.out)
     else:
         options = {"table": arguments.table, "columns": arguments.columns}

@@ -1,4 +1,4 @@
-"""The scenes that this package brings: `mbd-ros scenes`."""
+"""The command `mbd-ros scenes`: the scenes of this package."""
 
 import argparse
 from itertools import takewhile
@@ -10,18 +10,21 @@ from mbd_ros.scene.schema.locate import embedded_scenes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`scenes` understands no words of its own."""
+    """Declare no arguments."""
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the names of the scenes with a line each; the exit code.
+    """Print the name of each scene with its first sentence, and return the exit code.
 
     Raises:
         SceneError: The files of the package are not installed.
     """
     scenes = embedded_scenes()
     if not scenes:
-        raise SceneError("the scenes of this package are not installed beside it")
+        raise SceneError(
+            "the scenes of this package are not installed; install the package again, or give a "
+            "scene file"
+        )
     width = max(map(len, scenes))
     for name, path in scenes.items():
         say(f"{name:<{width}}  {about_scene(path)}")
@@ -29,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def about_scene(path: Path) -> str:
-    """The first sentence of the comment at the top of a scene file."""
+    """Return the first sentence of the comment at the top of a scene file."""
     with path.open(encoding="utf-8") as lines:
         comment = takewhile(lambda line: line.startswith("#"), lines)
         text = " ".join(line.lstrip("#").strip() for line in comment)

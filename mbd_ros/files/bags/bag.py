@@ -81,17 +81,17 @@ class Bag:
         Raises:
             DifferentPieceError: A piece has other columns or metadata.
         """
-        whole = ""
+        description = ""
         with BagWriter(path) as bag:
             for result in results:
                 timed, more = _streams(result)
                 described_here = describe(result, more)
-                if not whole:
-                    whole, said = described_here, new_message(STRING)
-                    said.data = whole
+                if not description:
+                    description, said = described_here, new_message(STRING)
+                    said.data = description
                     first = min((int(times[0]) for times, _ in timed if len(times)), default=1)
                     bag.write(DESCRIPTION, STRING, first, said)
-                if described_here != whole:
+                if described_here != description:
                     raise DifferentPieceError(f"{path}: pieces of a result have other columns")
                 for parts in _parts(path, timed):
                     bag.write_rows(parts)

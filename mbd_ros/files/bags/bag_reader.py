@@ -252,11 +252,11 @@ class RawBlock(NamedTuple):
 
     def messages(self) -> Iterator[tuple[int, bytes]]:
         """Log time and bytes of each."""
-        whole, ends = memoryview(self.data), (self.starts + self.sizes).tolist()
+        content, ends = memoryview(self.data), (self.starts + self.sizes).tolist()
         for log_time, *place in zip(
             self.log_times.tolist(), self.starts.tolist(), ends, strict=True
         ):
-            yield log_time, bytes(whole[slice(*place)])
+            yield log_time, bytes(content[slice(*place)])
 
 
 def _blocks(reader: CountingReader, connections: list[Any]) -> Iterator[RawBlock]:
@@ -268,39 +268,45 @@ def _blocks(reader: CountingReader, connections: list[Any]) -> Iterator[RawBlock
         stream = in_time_order(reader, connections)
         yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
         return
-    for storage, own in storages:
+    for storage, wanted in storages:
         if isinstance(storage, Sqlite3Reader):
-            yield from _joined(_selected(storage, own))
+            yield from _joined(_selected(storage, wanted))
             continue
-        chunks = chunks_in_order(storage, own)
+        chunks = chunks_in_order(storage, wanted)
         if chunks is None:
-            stream = reader.allowance.counted(storage.messages(own))
+            stream = reader.allowance.counted(storage.messages(wanted))
             yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
         for chunk in chunks or ():
             with reader.allowance.counting():
-                found = indexed(storage, chunk, own)
-            if found is None:
-                yield from _joined(reader.allowance.counted(scanned(storage, chunk, own)))
+                indexed_block = indexed(storage, chunk, wanted)
+            if indexed_block is None:
+                yield from _joined(reader.allowance.counted(scanned(storage, chunk, wanted)))
             else:
-                yield RawBlock(*found)
+                yield RawBlock(*indexed_block)
 
 
 def _storages(reader: Reader, connections: Sequence[Any]) -> list[tuple[Any, list[Any]]]:
     """Storages and their connections; none where each message is compressed by itself."""
     if reader.compression_mode == "message":
         return []
-    found = []
+    storages = []
     for storage in getattr(reader.storage, "storages", [reader.storage]):
-        own = [x for x in storage.connections if any(_is_same(x, y) for y in connections)]
-        if own:
-            found.append((storage, own))
-    return found
+        selected = [x for x in storage.connections if any(_is_same(x, y) for y in connections)]
+        if selected:
+            storages.append((storage, selected))
+    return storages
 
 
-def _is_same(own: Any, wanted: Any) -> bool:
+def _is_same(connection: Any, wanted: Any) -> bool:
     """Whether a connection of a storage is that of the bag, as rosbags tells them apart."""
-    alike = (own.topic, own.msgtype, own.ext) == (wanted.topic, wanted.msgtype, wanted.ext)
-    return alike and (not own.digest or not wanted.digest or own.digest == wanted.digest)
+    alike = (connection.topic, connection.msgtype, connection.ext) == (
+        wanted.topic,
+        wanted.msgtype,
+        wanted.ext,
+    )
+    return alike and (
+        not connection.digest or not wanted.digest or connection.digest == wanted.digest
+    )
 
 
 def _joined(stream: Iterable[tuple[int, bytes]]) -> Iterator[RawBlock]:

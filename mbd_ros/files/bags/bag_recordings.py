@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.kinematics.poses import with_continuous_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import beside, by_member, joint_state_topic, odometry_topic
@@ -49,12 +49,12 @@ def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
     for body, link in wanted.bodies.items():
         its = beside(topic, odometry_topic(body))
         streams[its] = _body_samples(path, its, link, dropped)
-    stamps, kept, by_log_time = _paired(path, streams, dropped)
-    return Recording(_motion(topic, wanted, stamps, kept), dropped, by_log_time)
+    stamps, paired, by_log_time = _paired(path, streams, dropped)
+    return Recording(_motion(topic, wanted, stamps, paired), dropped, by_log_time)
 
 
 class Wanted(NamedTuple):
-    """What is wanted of a motion.
+    """Joints, bodies and quantities that a motion needs.
 
     Attributes:
         joints: Names, in the order of the columns.
@@ -124,11 +124,11 @@ class JointStates:
     def of(self, block: RawBlock) -> Samples:
         """Samples of a block."""
         rows = block.rows()
-        found = None if rows is None else self._rows.read(rows)
-        if found is None or not np.isfinite(found.position[:, self._used]).all():
+        samples = None if rows is None else self._rows.read(rows)
+        if samples is None or not np.isfinite(samples.position[:, self._used]).all():
             return self._one_by_one(block)
         self.seen.update(self._reader.carried)
-        return Samples(block.log_times, found[0], found[1:])
+        return Samples(block.log_times, samples[0], samples[1:])
 
     def check(self, used: Sequence[object]) -> None:
         """Raise DataError where a needed joint is in no message, or none can be used."""
@@ -216,7 +216,7 @@ def _paired(
     common = reduce(np.intersect1d, [clock[0] for clock in clocks.values()])
     if not len(common):
         raise DataError(f"{path}: {', '.join(streams)}: no stamp that all of them have")
-    kept = {}
+    paired = {}
     for topic, (stamps, order, _) in clocks.items():
         if len(common) < len(stamps):
             dropped[f"{topic}: no message of its stamp on the other topics"] += len(stamps) - len(
@@ -225,8 +225,8 @@ def _paired(
             order = order[np.isin(stamps, common)]
         fields = streams[topic].fields
         whole = len(order) == len(streams[topic].stamps)
-        kept[topic] = fields if whole else tuple(field[order] for field in fields)
-    return common, kept, by_log_time
+        paired[topic] = fields if whole else tuple(field[order] for field in fields)
+    return common, paired, by_log_time
 
 
 def _clock(
@@ -244,12 +244,12 @@ def _clock(
 
 
 def _motion(
-    topic: str, wanted: Wanted, stamps: NDArray[np.int64], kept: Mapping[str, tuple[Array, ...]]
+    topic: str, wanted: Wanted, stamps: NDArray[np.int64], paired: Mapping[str, tuple[Array, ...]]
 ) -> Motion:
     """The motion of samples by topic, all of the same stamps."""
     joints = by_member(wanted.joints, wanted.members)
-    if list(joints.values()) == [{name: name for name in wanted.joints}] and topic in kept:
-        position, velocity, effort = kept[topic]
+    if list(joints.values()) == [{name: name for name in wanted.joints}] and topic in paired:
+        position, velocity, effort = paired[topic]
     else:
         position, velocity, effort = (
             np.full((len(stamps), len(wanted.joints)), np.nan) for _ in "pve"
@@ -257,13 +257,13 @@ def _motion(
         for member, own in joints.items():
             its = beside(topic, joint_state_topic(member)) if member else topic
             at = [wanted.joints.index(name) for name in own.values()]
-            if its in kept:
-                for whole, part in zip((position, velocity, effort), kept[its], strict=True):
+            if its in paired:
+                for whole, part in zip((position, velocity, effort), paired[its], strict=True):
                     whole[:, at] = part
     bodies = []
     for body in wanted.bodies:
-        pose, twist = kept[beside(topic, odometry_topic(body))]
-        bodies.append(BodyMotion(body, with_steady_signs(pose), _absent_if_nan(twist)))
+        pose, twist = paired[beside(topic, odometry_topic(body))]
+        bodies.append(BodyMotion(body, with_continuous_signs(pose), _absent_if_nan(twist)))
     fields = without_infinite(position), _absent_if_nan(without_infinite(velocity)), None
     return Motion(
         wanted.joints,

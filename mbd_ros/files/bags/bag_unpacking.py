@@ -1,4 +1,4 @@
-"""What the compressed parts of a bag unpack to, counted while they are unpacked.
+"""Unpacking of the compressed parts of a bag, with a limit on what they unpack to.
 
 Chunks of MCAP files, single messages and whole files may be compressed; rosbags unpacks each of
 them without a bound. Its functions for chunks are replaced here by those that count.
@@ -116,7 +116,7 @@ def _unpacked(decompressor: Callable[[], Any], packed: bytes, size: int) -> byte
 
 
 def _counted(content: bytes, size: int) -> bytes:
-    """What is not compressed; an index may name it many times."""
+    """Count content that is not compressed; an index may name it many times."""
     allowance = _current.get()
     if allowance is not None:
         allowance.take(len(content))

@@ -230,12 +230,12 @@ def _append_chunks(
         heads["log_time"] = heads["publish_time"] = part.log_times
         put_pieces(data, at, heads.view(np.uint8).reshape(len(at), -1))
         put_pieces(data, at + RECORD.itemsize, part.cdr)
-    index: dict[int, list[Any]] = {c: [found] for c, found in storage.chunk.msgs.items()}
+    index: dict[int, list[Any]] = {c: [entry] for c, entry in storage.chunk.msgs.items()}
     for part, channel, at in zip(parts, channels, each, strict=True):
         by_place = np.argsort(at, kind="stable")
         own = np.stack((part.log_times[by_place], at[by_place]), axis=1)
         index.setdefault(channel, []).append(own)
-    entries = {channel: np.concatenate(found) for channel, found in index.items()}
+    entries = {channel: np.concatenate(entry) for channel, entry in index.items()}
     for begin, end in itertools.pairwise(_ends_of_chunks(ends)):
         _write_chunk(storage, data[begin:end], list(_within(entries, begin, end)))
     for channel, part in zip(channels, parts, strict=True):
@@ -248,11 +248,11 @@ def _append_chunks(
 
 def _ends_of_chunks(ends: NDArray[np.int64]) -> list[int]:
     """0, and where chunks end that begin there, of messages that end at these places."""
-    found = [0]
-    while found[-1] < ends[-1]:
-        last = np.searchsorted(ends, found[-1] + _CHUNK_BYTES, side="right")
-        found.append(int(ends[min(last, len(ends) - 1)]))
-    return found
+    chunk_ends = [0]
+    while chunk_ends[-1] < ends[-1]:
+        last = np.searchsorted(ends, chunk_ends[-1] + _CHUNK_BYTES, side="right")
+        chunk_ends.append(int(ends[min(last, len(ends) - 1)]))
+    return chunk_ends
 
 
 def _write_chunk(
@@ -325,14 +325,14 @@ class Spool:
     def __getitem__(self, rows: slice) -> NDArray[Any]:
         """Some rows that follow each other, shape (n, width); not to be written to."""
         begin, end, _ = rows.indices(self.rows)
-        found = [self._from_file(begin, min(end, self._filed))] if begin < self._filed else []
+        pieces = [self._from_file(begin, min(end, self._filed))] if begin < self._filed else []
         first = self._filed
         for piece in self._newest:
             own = piece[max(begin - first, 0) : max(end - first, 0)]
-            found += [own] if len(own) else []
+            pieces += [own] if len(own) else []
             first += len(piece)
         nothing = np.zeros((0, self.width), self._kind)
-        return found[0] if len(found) == 1 else np.concatenate([nothing, *found])
+        return pieces[0] if len(pieces) == 1 else np.concatenate([nothing, *pieces])
 
     def _from_file(self, begin: int, end: int) -> NDArray[Any]:
         size = self._kind.itemsize * self.width

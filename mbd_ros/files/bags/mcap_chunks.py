@@ -99,7 +99,7 @@ def put_pieces(
 
 
 def _unpacked(storage: McapReader, chunk: ChunkInfo) -> bytes:
-    """What a chunk holds, its checksum looked at."""
+    """Return the content of a chunk after a check of its checksum."""
     begin = chunk.chunk_start_offset + FRAME
     (checksum,) = struct.unpack("<I", _read(storage, begin + _CHECKSUM, 4))
     packed = _read(storage, begin + _PACKED + len(chunk.compression), chunk.compressed_size)

@@ -57,18 +57,18 @@ class C3d:
             start, size = file.read(LONGEST), os.fstat(file.fileno()).st_size
         check_counts(path, start, size)
         try:
-            whole = self._ezc3d.c3d(str(path))
-            has_plates = _parameter(whole, "FORCE_PLATFORM", "USED", [0])[0] > 0
+            content = self._ezc3d.c3d(str(path))
+            has_plates = _parameter(content, "FORCE_PLATFORM", "USED", [0])[0] > 0
             if has_plates:
-                whole = self._ezc3d.c3d(str(path), extract_forceplat_data=True)
-            tables = {MAIN: _markers(path, whole)}
+                content = self._ezc3d.c3d(str(path), extract_forceplat_data=True)
+            tables = {MAIN: _markers(path, content)}
             if has_plates:
-                tables[PLATES] = _plates(path, whole)
+                tables[PLATES] = _plates(path, content)
         except _BROKEN as error:
             raise DataError(f"{path}: cannot be read as .c3d, or is cut ({error})") from error
         labels = [name for name in tables[MAIN] if name != TIME]
-        about = {MARKERS: labels, RATE: _rate(whole, "POINT")}
-        screen = [_parameter(whole, "POINT", f"{axis}_SCREEN", [""])[0] for axis in "XY"]
+        about = {MARKERS: labels, RATE: _rate(content, "POINT")}
+        screen = [_parameter(content, "POINT", f"{axis}_SCREEN", [""])[0] for axis in "XY"]
         return Result(tables, {**about, SCREEN: screen} if all(screen) else about)
 
     def write(self, path: Path, result: Result) -> None:
@@ -84,33 +84,33 @@ class C3d:
         if not labels or not len(steps) or np.ptp(steps) > 1e-3 * steps.mean():
             raise DataError(f"{path}: .c3d holds markers at a steady rate, these are none")
         rate = float(result.metadata.get(RATE) or 1.0 / steps.mean())
-        whole = self._ezc3d.c3d()
-        points = whole["parameters"]["POINT"]
+        content = self._ezc3d.c3d()
+        points = content["parameters"]["POINT"]
         points["UNITS"]["value"], points["RATE"]["value"] = ["mm"], [rate]
         points["LABELS"]["value"] = labels
         values = np.stack([table[label].T for label in labels], axis=1)  # (3, markers, n)
-        whole["data"]["points"] = np.concatenate(
+        content["data"]["points"] = np.concatenate(
             [1000.0 * values, np.ones((1, *values.shape[1:]))]
         )
-        whole["header"]["points"]["first_frame"] = round(float(times[0]) * rate)
+        content["header"]["points"]["first_frame"] = round(float(times[0]) * rate)
         with TemporaryDirectory() as folder, replacing(path) as file:
-            whole.write(f"{folder}/markers.c3d")
+            content.write(f"{folder}/markers.c3d")
             file.write(Path(f"{folder}/markers.c3d").read_bytes())
 
 
-def _parameter(whole: Any, group: str, name: str, other: Any) -> Any:
-    found = whole["parameters"].get(group, {}).get(name, {}).get("value", other)
+def _parameter(content: Any, group: str, name: str, other: Any) -> Any:
+    found = content["parameters"].get(group, {}).get(name, {}).get("value", other)
     return other if len(found) == 0 else found
 
 
-def _rate(whole: Any, kind: str) -> float:
-    return float(_parameter(whole, kind, "RATE", [0.0])[0])
+def _rate(content: Any, kind: str) -> float:
+    return float(_parameter(content, kind, "RATE", [0.0])[0])
 
 
-def _times(whole: Any, kind: str, count: int) -> Column:
+def _times(content: Any, kind: str, count: int) -> Column:
     """Times from the frame that the recording begins with."""
-    first = whole["header"]["points"]["first_frame"] / _rate(whole, "POINT")
-    return Column(TIME, first + np.arange(count) / _rate(whole, kind), "s")
+    first = content["header"]["points"]["first_frame"] / _rate(content, "POINT")
+    return Column(TIME, first + np.arange(count) / _rate(content, kind), "s")
 
 
 def _metres(path: Path, unit: str) -> float:
@@ -119,23 +119,23 @@ def _metres(path: Path, unit: str) -> float:
     return METRES[unit.strip().lower()]
 
 
-def _markers(path: Path, whole: Any) -> Table:
-    values = np.asarray(whole["data"]["points"])[:3]
-    labels = [str(label).strip() for label in _parameter(whole, "POINT", "LABELS", [])]
+def _markers(path: Path, content: Any) -> Table:
+    values = np.asarray(content["data"]["points"])[:3]
+    labels = [str(label).strip() for label in _parameter(content, "POINT", "LABELS", [])]
     if len(labels) != values.shape[1]:
         raise DataError(f"{path}: {values.shape[1]} points with {len(labels)} labels")
-    if not values.shape[2] or not _rate(whole, "POINT") > 0.0:
+    if not values.shape[2] or not _rate(content, "POINT") > 0.0:
         raise DataError(f"{path}: no frame, or no rate")
-    scale = _metres(path, _parameter(whole, "POINT", "UNITS", ["mm"])[0])
-    modelled = {str(n) for kind in _NO_MARKERS for n in _parameter(whole, "POINT", kind, [])}
+    scale = _metres(path, _parameter(content, "POINT", "UNITS", ["mm"])[0])
+    modelled = {str(n) for kind in _NO_MARKERS for n in _parameter(content, "POINT", kind, [])}
     kept = [i for i, label in enumerate(labels) if label and label not in modelled]
     columns = [Column(labels[i], scale * values[:, i].T, "m", GROUND) for i in kept]
-    return Table([_times(whole, "POINT", values.shape[2]), *columns])
+    return Table([_times(content, "POINT", values.shape[2]), *columns])
 
 
-def _plates(path: Path, whole: Any) -> Table:
-    plates, types = whole["data"]["platform"], whole["parameters"]["FORCE_PLATFORM"]["TYPE"]
-    columns = [_times(whole, "ANALOG", plates[0]["force"].shape[1])]
+def _plates(path: Path, content: Any) -> Table:
+    plates, types = content["data"]["platform"], content["parameters"]["FORCE_PLATFORM"]["TYPE"]
+    columns = [_times(content, "ANALOG", plates[0]["force"].shape[1])]
     for i, (plate, kind) in enumerate(zip(plates, types["value"], strict=True), 1):
         force, torque = _wrench(path, plate, int(kind))
         parts = (("force", force, "N"), ("torque", torque, "N·m"))

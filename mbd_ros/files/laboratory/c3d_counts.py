@@ -65,7 +65,7 @@ def check_counts(path: Path, start: bytes, size: int) -> None:
 
 
 class _Header(NamedTuple):
-    """What the header says: frames, the block of the samples, and the scale of points."""
+    """Header of the file: frames, the block of the samples, and the scale of points."""
 
     first: int
     last: int
@@ -101,7 +101,7 @@ class _Parameters:
         return group in self._groups
 
     def error(self, group: str, name: str, text: str) -> DataError:
-        """What is wrong with a parameter."""
+        """Return an error that names a parameter."""
         return DataError(f"{self._path}: {group}:{name} {text}")
 
     def get(self, group: str, name: str) -> _Value | None:
@@ -169,7 +169,7 @@ def _bytes(path: Path, start: bytes, at: int, count: int, what: str) -> bytes:
 
 
 def _broken(path: Path, text: str) -> DataError:
-    """What keeps header or parameters from being read."""
+    """Return the error of a header or of parameters that cannot be read."""
     return DataError(f"{path}: cannot be read as .c3d, or is cut ({text})")
 
 

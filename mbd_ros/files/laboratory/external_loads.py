@@ -25,7 +25,7 @@ _FARTHEST = 100.0  # m from the origin, beyond which a point can only be in mm
 
 
 class ExternalLoad(NamedTuple):
-    """What one force of the file says, and its samples.
+    """One force of the file, with its samples.
 
     Attributes:
         name: Its name as parts of scenes have one.
@@ -64,16 +64,16 @@ def read_external_loads(path: str | Path) -> list[ExternalLoad]:
     """
     path = Path(path)
     loads = _element(path)
-    forces, whole = loads.findall("objects/ExternalForce"), _text(loads, "datafile")
+    forces, data_file = loads.findall("objects/ExternalForce"), _text(loads, "datafile")
     read = cache(read_result)
-    found = [_load(path, force, whole, read) for force in forces if _acts(force)]
-    if not found:
+    external_loads = [_load(path, force, data_file, read) for force in forces if _acts(force)]
+    if not external_loads:
         raise DataError(f"{path}: no ExternalForce that is switched on")
-    names = [load.name for load in found]
+    names = [load.name for load in external_loads]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise DataError(f"{path}: several forces are called {', '.join(repeated)}")
-    return found
+    return external_loads
 
 
 def _element(path: Path) -> ElementTree.Element:
@@ -105,17 +105,17 @@ def _acts(force: ElementTree.Element) -> bool:
 
 
 def _load(
-    path: Path, force: ElementTree.Element, whole: str, read: Callable[[Path], Result]
+    path: Path, force: ElementTree.Element, data_file: str, read: Callable[[Path], Result]
 ) -> ExternalLoad:
     given = force.get("name") or "force"
     where, name = f"{path}: ExternalForce {given}", _part_name(given)
     body = _text(force, "applied_to_body")
     if not body or body == GROUND:
         raise DataError(f"{where}: applied_to_body '{body}', expected a body that moves")
-    place = whole or _text(force, "data_source_name")
+    place = data_file or _text(force, "data_source_name")
     if not place:
         raise DataError(f"{where}: neither datafile nor data_source_name names a file")
-    source = _found(path, place)
+    source = _existing_file(path, place)
     result = read(source)
     table, repeated = result[MAIN], result.metadata.get(REPEATED, ())
     at = f"{where}: {source}"
@@ -153,7 +153,7 @@ def _part_name(text: str) -> str:
     return f"_{name}" if name[0].isdigit() else name
 
 
-def _found(path: Path, text: str) -> Path:
+def _existing_file(path: Path, text: str) -> Path:
     """The file that an .xml names."""
     words = text.replace("\\", "/")
     tried = [path.parent / words, path.parent / words.rpartition("/")[2]]

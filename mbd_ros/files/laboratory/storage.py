@@ -137,7 +137,7 @@ class Storage:
 
 
 class _Header(NamedTuple):
-    """What stands above the labels.
+    """The header of the file, above the labels.
 
     Attributes:
         keys: Of lines `key=value` or, in old files, `key value`, in small letters.

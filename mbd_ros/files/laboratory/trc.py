@@ -48,7 +48,7 @@ class Trc:
             keys = _keys(path, head)
             labels = _labels(path, head[3], keys)
             times, values = _rows(path, lines, labels)
-        if len(times) != (told := _whole(path, keys, "NumFrames")):
+        if len(times) != (told := _integer(path, keys, "NumFrames")):
             raise DataError(f"{path}: has {len(times)} frames, its header says {told}")
         check_times(path, times)
         scale = _scale(path, keys)
@@ -118,7 +118,7 @@ def _number(path: Path, keys: Mapping[str, str], key: str) -> float:
     return cell_number(path, key, _value(path, keys, key).encode(), 3)
 
 
-def _whole(path: Path, keys: Mapping[str, str], key: str) -> int:
+def _integer(path: Path, keys: Mapping[str, str], key: str) -> int:
     value = _number(path, keys, key)
     if not (value >= 0 and value == int(value)):
         raise DataError(f"{path}: line 3: {key} {value:g} is no whole number")
@@ -141,7 +141,7 @@ def _labels(path: Path, line: bytes, keys: Mapping[str, str]) -> tuple[str, ...]
     if [cell.lower() for cell in cells[:2]] != ["frame#", "time"]:
         raise DataError(f"{path}: line 4 does not begin with Frame# and Time")
     labels = tuple(cell for cell in cells[2:] if cell)
-    told = _whole(path, keys, "NumMarkers")
+    told = _integer(path, keys, "NumMarkers")
     if len(labels) != told or len(labels) > _MOST:
         raise DataError(f"{path}: line 4 has {len(labels)} labels, NumMarkers says {told}")
     repeated = sorted({label for label in labels if labels.count(label) > 1 or label == TIME})

@@ -1,4 +1,4 @@
-"""What the columns of a result are, as JSON text beside their numbers."""
+"""Description of the columns of a result, as JSON text beside their numbers."""
 
 import json
 from collections.abc import Mapping
@@ -39,11 +39,11 @@ def described(text: str | bytes, where: str) -> tuple[dict[str, list[dict[str, A
         DataError: It is something else.
     """
     try:
-        whole = json.loads(text)
-        tables, metadata = whole["tables"], whole["metadata"]
+        description = json.loads(text)
+        tables, metadata = description["tables"], description["metadata"]
         entries = [entry for columns in tables.values() for entry in columns]
         whole_texts = all(isinstance(entry[key], str) for entry in entries for key in _TEXTS)
-        is_known = whole["mbd_ros"] == _VERSION
+        is_known = description["mbd_ros"] == _VERSION
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(f"{where}: its description of columns cannot be read ({error})") from error
     if not (is_known and whole_texts and isinstance(metadata, dict)):

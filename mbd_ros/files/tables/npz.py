@@ -39,7 +39,7 @@ class Npz:
             np.savez(cast(BinaryIO, file), allow_pickle=False, **arrays)
 
     def read(self, path: Path) -> Result:
-        """What `write` wrote.
+        """Read a file that `write` wrote.
 
         Raises:
             DataError: Another file, or one that is cut or too large.

@@ -52,7 +52,7 @@ class Parquet:
             storage.write_table(arrow.table(arrays, schema=schema), file)
 
     def read(self, path: Path) -> Result:
-        """What `write` wrote; of files of others the columns of numbers and texts.
+        """Read a file that `write` wrote, or the columns of numbers and texts of another file.
 
         Raises:
             DataError: Another file, or one that is cut.
@@ -82,17 +82,19 @@ class Parquet:
             about = file.metadata
             groups = [about.row_group(i) for i in range(about.num_row_groups)]
             chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
-            said = sum(chunk.num_values * _WIDTHS.get(chunk.physical_type, 0) for chunk in chunks)
+            declared = sum(
+                chunk.num_values * _WIDTHS.get(chunk.physical_type, 0) for chunk in chunks
+            )
             is_text = any(chunk.physical_type == "BYTE_ARRAY" for chunk in chunks)
             batches, size = [], 0
-            if said <= limit:
+            if declared <= limit:
                 for batch in file.iter_batches(_TEXT_ROWS if is_text else _ROWS):
                     batches.append(batch)
                     # values that rows only refer to are shared by all batches
                     size += sum(getattr(c, "indices", c).nbytes for c in batch.columns)
                     if size > limit:
                         break
-            if max(said, size) > limit:
+            if max(declared, size) > limit:
                 raise DataError(f"{path}: more than {limit} bytes when unpacked")
             return self._arrow.Table.from_batches(batches, file.schema_arrow)
 

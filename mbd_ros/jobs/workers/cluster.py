@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster; the result does not depend on how many workers it has or loses."""
+"""Tasks on a Dask cluster; results do not depend on how many workers it has or loses."""
 
 import math
 import threading
@@ -10,21 +10,24 @@ from typing import Any
 from mbd_ros.errors import DataError
 from mbd_ros.jobs.workers.task import Result, Task, do
 
-_CONNECT, _LOOK, _DESERTED = 10.0, 5.0, 60.0  # s
-_AHEAD = 3  # tasks a worker, so that none waits for the next
+_CONNECT_TIMEOUT = 10.0  # s
+_POLL_PERIOD = 5.0  # s
+_LONGEST_ABSENCE = 60.0  # s without workers
+_AHEAD = 3  # tasks per worker, so that no worker waits for its next task
 
 
 class Cluster:
-    """Does tasks on a Dask cluster, for the length of a `with` block.
+    """Workers of a Dask cluster, for the length of a `with` block.
 
-    A task whose worker is lost goes to another one; Dask gives a task up that takes four workers
-    with it. Tasks that want to be alone run one at a time, all on the same host.
+    A task whose worker is lost goes to another one; Dask abandons a task after it has lost four
+    workers. Tasks that must run alone run one at a time, all on the same host.
 
     Args:
-        address: Of the scheduler, as `tcp://host:8786`; or `local:N` for N workers here.
+        address: Address of the scheduler, such as `tcp://host:8786`; or `local:N` for N workers
+            on this machine.
 
     Raises:
-        DataError: Dask is missing, the address cannot be used, or nobody answers.
+        DataError: Dask is missing, the address cannot be used, or no scheduler answers.
     """
 
     def __init__(self, address: str) -> None:
@@ -41,7 +44,7 @@ class Cluster:
                 n_workers=int(number), threads_per_worker=1, dashboard_address=":0"
             )
         try:
-            self._client: Any = Client(self._local or address, timeout=_CONNECT)
+            self._client: Any = Client(self._local or address, timeout=_CONNECT_TIMEOUT)
         except (OSError, ValueError) as error:
             raise DataError(f"--scheduler {address}: {error}") from error
 
@@ -55,37 +58,37 @@ class Cluster:
 
     @property
     def count(self) -> int:
-        """How many tasks are done at the same time; 0 while there are no workers."""
+        """Number of tasks that run at the same time; 0 while there are no workers."""
         return sum(self._client.nthreads().values())
 
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
-        """Every task with its result, in the order in which they end; one at a time if alone."""
+        """Yield every task with its result as they end; run one at a time if `alone`."""
         from distributed import TimeoutError as Waited  # of asyncio on Python 3.10
         from distributed import wait
 
-        waiting, flying = deque(tasks), {}
+        waiting, running = deque(tasks), {}
         seen = time.monotonic()
         host = self._host() if alone and tasks else None
-        while waiting or flying:
-            while waiting and len(flying) < (1 if alone else _AHEAD * max(self.count, 1)):
+        while waiting or running:
+            while waiting and len(running) < (1 if alone else _AHEAD * max(self.count, 1)):
                 task = waiting.popleft()
-                flying[self._client.submit(do_within, task, pure=False, workers=host)] = task
+                running[self._client.submit(do_within, task, pure=False, workers=host)] = task
             try:
-                done = wait(list(flying), _LOOK, return_when="FIRST_COMPLETED").done
+                done = wait(list(running), _POLL_PERIOD, return_when="FIRST_COMPLETED").done
             except Waited:
-                seen = self._look(seen)
+                seen = self._last_contact(seen)
                 if host is not None and host not in self._hosts():
                     host = self._host()
-                    waiting.extend(flying.values())
-                    self._client.cancel(list(flying), force=True)
-                    flying.clear()
+                    waiting.extend(running.values())
+                    self._client.cancel(list(running), force=True)
+                    running.clear()
                 continue
             seen = time.monotonic()
             for future in done:
-                yield flying.pop(future), _result(future)
+                yield running.pop(future), _result(future)
 
     def cpu(self) -> str:
-        """Processor of the host on which tasks that want to be alone are done.
+        """Return the processor of the host that runs the tasks which must run alone.
 
         Raises:
             DataError: There are no workers.
@@ -94,28 +97,28 @@ class Cluster:
         return result.cpu
 
     def _hosts(self) -> Counter[str]:
-        """Workers a host."""
+        """Return the number of workers by host."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         return Counter(worker["host"] for worker in workers)
 
     def _host(self) -> str | None:
-        """The one with most workers."""
+        """Return the host with most workers; None without workers."""
         hosts = self._hosts()
         return min(hosts, key=lambda host: (-hosts[host], host)) if hosts else None
 
-    def _look(self, seen: float) -> float:
-        """When there was a worker or an answer last."""
+    def _last_contact(self, seen: float) -> float:
+        """Return the last time at which there was a worker or an answer."""
         if self._hosts():
             return time.monotonic()
-        if time.monotonic() - seen > _DESERTED:
-            raise DataError(f"the Dask scheduler had no workers for {_DESERTED:g} s")
+        if time.monotonic() - seen > _LONGEST_ABSENCE:
+            raise DataError(f"the Dask scheduler had no workers for {_LONGEST_ABSENCE:g} s")
         return seen
 
 
 def do_within(task: Task) -> Result:
-    """Do a task in a worker of Dask, and give it up where that takes longer than its limit.
+    """Run a task in a worker of Dask, and abandon it after its time limit.
 
-    Nothing ends a thread from outside: one that was given up runs until its worker ends.
+    A thread cannot be ended from outside: an abandoned one runs until its worker ends.
     """
     if math.isinf(task.limit):
         return do(task)
@@ -128,9 +131,11 @@ def do_within(task: Task) -> Result:
 
 def _result(future: Any) -> Result:
     if future.status == "cancelled":
-        raise DataError("the Dask scheduler is lost; what was done is kept")
-    error = future.exception()  # waits where a result was lost with its worker and is made again
+        raise DataError("the connection to the Dask scheduler is lost; finished results are kept")
+    error = (
+        future.exception()
+    )  # waits if the result was lost with its worker and is computed again
     if error is not None:
-        return Result(failure=f"Dask gave it up: {error}")
+        return Result(failure=f"Dask abandoned it: {error}")
     result: Result = future.result()
     return result

@@ -1,4 +1,4 @@
-"""Workers: processes of this machine, or of a Dask cluster; and the time that they still need."""
+"""Workers that run tasks, on this machine or a Dask cluster, and the time that they still need."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _PRIOR = 5.0  # s; weight of the expectation against what was measured
 
 
 def open_workers(scheduler: str | None, count: int | None) -> AbstractContextManager[Workers]:
-    """Workers for the length of a `with` block.
+    """Return workers for the length of a `with` block.
 
     Args:
         scheduler: Address of a Dask scheduler, `local:N`, or None for processes of this machine.
-        count: How many processes; None for one a core.
+        count: Number of processes; None for one per core.
 
     Raises:
-        DataError: Dask is missing, or nobody answers at that address.
+        DataError: Dask is missing, or no scheduler answers at that address.
     """
     if scheduler is not None:
         from mbd_ros.jobs.workers.cluster import Cluster
@@ -34,65 +34,66 @@ def open_workers(scheduler: str | None, count: int | None) -> AbstractContextMan
 
 
 class Workers(Protocol):
-    """Contract of workers, which do tasks."""
+    """Contract of workers, which run tasks."""
 
     @property
     def count(self) -> int:
-        """How many tasks they do at the same time."""
+        """Number of tasks that run at the same time."""
         ...
 
     def cpu(self) -> str:
-        """Processor on which tasks that want to be alone are done."""
+        """Return the processor on which tasks run that must run alone."""
         ...
 
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
-        """Every task with its result, in the order in which they end; one at a time if alone."""
+        """Yield every task with its result as they end; run one at a time if `alone`."""
         ...
 
 
 def do_all(workers: Workers, tasks: Sequence[Task]) -> Iterator[tuple[Task, Result]]:
-    """Tasks that want to be alone come first, then the others, long ones before short ones."""
+    """Run tasks: first those that must run alone, then the others, long ones before short ones."""
     yield from workers.run([task for task in tasks if task.alone], alone=True)
     others = [task for task in tasks if not task.alone]
     yield from workers.run(sorted(others, key=lambda task: -task.seconds), alone=False)
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
-    """Where the work is done."""
+    """Declare the processes or the cluster that do the work."""
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask cluster: tcp://host:8786, or local:N"
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Address of a Dask cluster, such as tcp://host:8786; or local:N.",
     )
-    where.add_argument("--workers", type=_count, metavar="N", help="processes (default: cores)")
+    where.add_argument(
+        "--workers", type=_count, metavar="N", help="Number of processes. By default one per core."
+    )
 
 
 def _count(text: str) -> int:
     if not (text.isdecimal() and int(text)):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number > 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return int(text)
 
 
 def watched(
     done: Iterator[tuple[Task, Result]], tasks: Sequence[Task], workers: int
 ) -> Iterator[tuple[Task, Result]]:
-    """Pass results on and keep one line with the time left on stderr, if that is a terminal.
+    """Yield tasks with results, and show the remaining time on stderr, if that is a terminal.
 
     Args:
         done: Tasks with results, as they end.
-        tasks: All that will end.
-        workers: How many tasks are done at the same time.
-
-    Yields:
-        What `done` yields.
+        tasks: All tasks.
+        workers: Number of tasks that run at the same time.
     """
     remaining = Remaining(tasks, workers)
     _show(f"0 of {len(tasks)}")
     try:
         for count, (task, result) in enumerate(done, start=1):
             remaining.count(task, result)
-            _show("")  # the taker may print
+            _show("")  # the caller may print
             yield task, result
-            left = f"about {spoken(remaining.seconds)} left"
+            left = f"about {duration_text(remaining.seconds)} left"
             percent = 100 * count // len(tasks)
             _show(f"{percent} %, {count} of {len(tasks)}, {left}, last {task.name}")
     finally:
@@ -106,10 +107,10 @@ def _show(line: str) -> None:
 
 
 class Remaining:
-    """Estimates the time left, corrected by how long the tasks so far really took.
+    """Estimate of the remaining time, corrected by the durations of finished tasks.
 
     Args:
-        workers: How many tasks are done at the same time.
+        workers: Number of tasks that run at the same time.
     """
 
     def __init__(self, tasks: Sequence[Task], workers: int) -> None:
@@ -118,24 +119,25 @@ class Remaining:
             alone: sum(task.seconds for task in tasks if task.alone == alone)
             for alone in (True, False)
         }
-        self._expected = self._took = _PRIOR
+        self._expected = _PRIOR
+        self._took = _PRIOR
 
     @property
     def seconds(self) -> float:
-        """Time left [s]."""
+        """Remaining time [s]."""
         work = self._left[True] + self._left[False] / self._workers
         return work * self._took / self._expected
 
     def count(self, task: Task, result: Result) -> None:
-        """Take one task off."""
+        """Count a task as finished."""
         self._left[task.alone] -= task.seconds
         if not result.failure:
             self._expected += task.seconds
             self._took += result.seconds
 
 
-def spoken(seconds: float) -> str:
-    """A time as one says it."""
+def duration_text(seconds: float) -> str:
+    """Return a duration in seconds, minutes or hours, such as 12 min."""
     if seconds < 90:
         return f"{max(seconds, 0.0):.0f} s"
     if seconds < 5400:

@@ -1,4 +1,4 @@
-"""Tasks in processes of this machine; a process that dies costs its task, never the others."""
+"""Tasks in processes of this machine; a process that dies never affects other tasks."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _CONTEXT = mp.get_context("spawn")  # a fork would inherit threads and their loc
 
 
 class Processes:
-    """Does tasks in processes of this machine, for the length of a `with` block.
+    """Workers that are processes of this machine, for the length of a `with` block.
 
-    A task whose process dies is tried once more. The processes end with this one in every case.
+    A task whose process dies is tried once more. The processes always end with this one.
 
     Args:
-        count: How many work at the same time.
+        count: Number of processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -46,11 +46,11 @@ class Processes:
             worker.connection.close()
 
     def cpu(self) -> str:
-        """Processor of this machine."""
+        """Return the name of the processor of this machine."""
         return cpu()
 
     def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
-        """Every task with its result, in the order in which they end; one at a time if alone."""
+        """Yield every task with its result as they end; run one at a time if `alone`."""
         waiting = deque((task, 1) for task in tasks)
         while waiting or self._busy():
             while waiting and len(self._busy()) < (1 if alone else self.count):
@@ -76,16 +76,16 @@ class Processes:
         return self._workers[-1]
 
     def _settled(self) -> list[_Worker]:
-        """Wait for those that answered, died, or are overdue."""
+        """Wait for workers that have answered, have died or are overdue, and return them."""
         busy = self._busy()
         due = min(worker.job.due for worker in busy if worker.job is not None)
-        left = None if math.isinf(due) else max(due - time.monotonic(), 0.0)
-        ready = wait([worker.connection for worker in busy], left)
+        timeout = None if math.isinf(due) else max(due - time.monotonic(), 0.0)
+        ready = wait([worker.connection for worker in busy], timeout)
         now = time.monotonic()
         return [w for w in busy if w.connection in ready or (w.job and w.job.due <= now)]
 
     def _answer(self, worker: _Worker, job: _Job) -> Result | None:
-        """The result of a settled worker; None where the task is to be tried again."""
+        """Return the result of a settled worker; None if the task shall be tried again."""
         try:
             if worker.connection.poll():
                 result: Result = worker.connection.recv()
@@ -96,7 +96,7 @@ class Processes:
             how = worker.end()
             if job.attempt < _ATTEMPTS:
                 return None
-            return Result(failure=f"its process ended {how}, {_ATTEMPTS} times")
+            return Result(failure=f"its process ended {how} in each of {_ATTEMPTS} attempts")
         self._workers.remove(worker)
         worker.job = None
         worker.end()
@@ -104,7 +104,7 @@ class Processes:
 
 
 class _Worker:
-    """A process that does one task after the other."""
+    """A process that runs one task after the other."""
 
     def __init__(self) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
@@ -115,11 +115,11 @@ class _Worker:
 
     def start(self, job: _Job) -> None:
         self.job = job
-        with suppress(OSError):  # a worker that died meanwhile is seen when its answer is awaited
+        with suppress(OSError):  # a worker that has died is noticed when its answer is awaited
             self.connection.send(job.task)
 
     def end(self) -> str:
-        """Kill the process; how it had ended before."""
+        """Kill the process, and return how it ended before."""
         self.process.join(0.0 if self.job is None else 1.0)
         code = self.process.exitcode
         self.process.kill()
@@ -131,7 +131,7 @@ class _Worker:
 
 
 def _serve(connection: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who started this
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):

@@ -1,4 +1,4 @@
-"""A piece of work that may be done anywhere, and its result."""
+"""A task that any process or machine may run, and its result."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ class Task(NamedTuple):
     """A call of one function, independent of all others.
 
     Attributes:
-        call: `module:function` of one argument.
-        argument: Its argument; any value that JSON holds.
-        seconds: About how long it takes.
-        alone: It times something: nothing else of the same run may run beside it.
-        limit: Time after which it is given up [s].
+        name: Name for messages.
+        call: Function of one argument, as `module:function`.
+        argument: Argument of the function; any value that JSON holds.
+        seconds: Expected duration [s].
+        alone: Whether nothing else may run beside it, since it measures times.
+        limit: Time after which the task is abandoned [s].
     """
 
     name: str
@@ -42,10 +43,10 @@ class Result(NamedTuple):
     """The result of a task.
 
     Attributes:
-        value: What the function returned, as JSON gives it back.
-        failure: Why there is no value; empty where there is one.
-        seconds: How long it took [s].
-        cpu: The processor it ran on.
+        value: Return value of the function, converted to JSON and back.
+        failure: Reason why there is no value; empty if there is one.
+        seconds: Duration [s].
+        cpu: Name of the processor that ran it.
     """
 
     value: Any = None
@@ -55,12 +56,12 @@ class Result(NamedTuple):
 
 
 def do(task: Task) -> Result:
-    """Do a task here; every failure is in the result."""
+    """Run a task in this process; a failure becomes part of the result."""
     begin = time.perf_counter()
     module, _, function = task.call.partition(":")
     try:
         value = getattr(importlib.import_module(module), function)(task.argument)
-        value = json.loads(json.dumps(value))  # what a stored result would give
+        value = json.loads(json.dumps(value))  # as a stored result would be read
     except Exception as error:  # noqa: BLE001 - one task must not end the others
         frame = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(frame.filename).name}:{frame.lineno}"
@@ -70,7 +71,7 @@ def do(task: Task) -> Result:
 
 @cache
 def cpu() -> str:
-    """Name of the processor."""
+    """Return the name of the processor."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -80,16 +81,16 @@ def cpu() -> str:
 
 
 def pack(values: Array) -> list[Any]:
-    """An array of numbers as its shape and a text."""
+    """Return an array of numbers as its shape and a text."""
     data = np.ascontiguousarray(values, dtype="<f8").tobytes()
     return [list(values.shape), base64.b64encode(data).decode()]
 
 
 def unpack(packed: Sequence[Any]) -> Array:
-    """The array that `pack` was given."""
+    """Return the array that `pack` has packed."""
     shape, data = packed
     return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
 
 
 def nothing(_: Mapping[str, Any]) -> None:
-    """Do nothing; the result names the processor of a worker."""
+    """Do nothing; the result then names the processor of a worker."""

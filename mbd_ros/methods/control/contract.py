@@ -1,4 +1,4 @@
-"""Contract of controllers: torques from a state and a reference, and delays that are tolerated."""
+"""Contract of controllers: torques from a state and a reference, and tolerable delays."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ from mbd_ros.errors import ModelError
 MASS_ERROR = 0.3  # share by which the masses of a model may be too large
 _TOO_STRONG = 1.0 / (1.0 - MASS_ERROR)
 _ROUNDING = 1.0e-6
-LONGEST = 0.04  # [s] of delay that are tolerated at most: what comes later is as good as silence
+LONGEST = 0.04  # largest tolerable delay [s]; a later command counts as missing
 
 
 class Controller:
-    """A control law; a value: new gains are a new controller for the same joints.
+    """Control law. It is an immutable value: new gains mean a new controller for the same joints.
 
-    The constructor takes `joints` and, by keyword, the gains. It is the only home of their
-    defaults, ranges and units (`mbd_ros.core.ranges`), and its docstring of their meaning; code
-    that configures the law reads them there. `Gain` stands for a float for all joints, or one a
-    joint. A constructor raises a ModelError that names the gain, what is wrong and what is
-    accepted.
+    The constructor takes `joints` and, by keyword, the gains. Its signature defines their
+    defaults, ranges and units (`mbd_ros.core.ranges`), and its docstring their meaning; code that
+    configures the law reads them there. `Gain` is a number for all joints, or one for each. The
+    constructor raises a ModelError that names the gain, what is wrong and what is accepted.
 
-    A control law does not keep its own states (an integral): it gives their rates
+    A control law does not store states of its own, such as an integral. It returns their rates
     (`Control.memory_rate`), and the loop integrates or freezes them.
 
     Attributes:
         joints: The controlled joints.
-        limit_names: Names of the limits that it keeps itself, one an entry of `Control.active`.
+        limit_names: Names of the limits that it enforces, one for each entry of `Control.active`.
         example: Gains with which the law works on a small arm.
-        files: Arguments that name files of plans; who builds the law reads them and gives what
-            they hold.
+        files: Arguments that name files of plans; the builder of the law reads the files and
+            passes their content.
     """
 
     example: ClassVar[dict[str, Any]]
@@ -45,46 +44,46 @@ class Controller:
     joints: ControlledJoints
 
     def begin(self) -> Array:
-        """Memory at the start, shape (k,); most control laws have none."""
+        """Return the initial memory, shape (k,); most control laws have none."""
         return np.zeros(0)
 
     def details(self) -> dict[str, str]:
-        """Remarks of the control law on its work, for diagnostics."""
+        """Return remarks about the operation of the control law, for diagnostics."""
         return {}
 
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with its work, for diagnostics."""
+        """Return warnings about the operation of the control law, for diagnostics."""
         return ()
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains | None:
-        """How the control law answers small errors in a pose; None where it is not known.
+        """Return the gains for small errors in a pose; None if they are not known.
 
         Args:
-            at_rest: How the joints answer there.
-            period: Of the loop [s].
+            at_rest: Response of the joints in that pose, at rest.
+            period: Period of the loop [s].
         """
         return None
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """Largest errors of the control law in a pose, with masses wrong by `MASS_ERROR`.
+        """Return the largest errors of the law in a pose, with masses wrong by `MASS_ERROR`.
 
         Args:
-            at_rest: How the joints answer there.
-            period: Of the loop [s].
+            at_rest: Response of the joints in that pose, at rest.
+            period: Period of the loop [s].
 
         Returns:
-            [rad or m], shape (n,); inf where the law promises none.
+            Bounds [rad or m], shape (n,); inf where the law guarantees none.
         """
         return np.full(len(self.joints), np.inf)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state.
+        """Compute the efforts at a state.
 
         Args:
             x: Consistent state of all joints of the robot.
-            ref: Of the controlled joints.
+            ref: Reference of the controlled joints.
             memory: States of the control law, shape (k,).
-            box: Efforts that the next command may have. The sender clips the command; a
+            box: Bounds of the next command. The sender clips the command; a
                 control law may use the box to do better.
         """
         raise NotImplementedError
@@ -128,21 +127,26 @@ class ControlledJoints:
         return len(self.names)
 
     def positions(self, x: State) -> Array:
-        """Of the controlled joints [rad or m], shape (n,), fresh."""
+        """Return the positions of the controlled joints [rad or m] as a new array, (n,)."""
         return x.q[self._q]
 
     def velocities(self, x: State) -> Array:
-        """Of the controlled joints [rad/s or m/s], shape (n,), fresh."""
+        """Return the velocities of the controlled joints [rad/s or m/s] as a new array, (n,)."""
         return x.v[self._v]
 
     def response(self, x: State, motion: tuple[Array, Array] | None = None) -> Response:
-        """At a consistent state of all joints; `motion` is `accelerations` if it is known."""
+        """Return the response at a consistent state of all joints.
+
+        Args:
+            x: State of all joints.
+            motion: Result of `accelerations` at x; None to compute it.
+        """
         a, mobility = motion or self.accelerations(x)
         self.newest = Response(x.q[self._q], x.v[self._v], a[self._v], mobility[self._v])
         return self.newest
 
     def accelerations(self, x: State) -> tuple[Array, Array]:
-        """Those of all joints without torque, shape (nv,), and per unit torque, (nv, n)."""
+        """Return accelerations without torque, shape (nv,), and per unit torque, (nv, n)."""
         now = self.system.evaluate(x)
         return now.a, now.respond(self._selection)
 
@@ -151,9 +155,9 @@ class Reference(NamedTuple):
     """Demanded motion of the controlled joints, in the order of the controller.
 
     Attributes:
-        q: [rad or m], shape (n,).
-        v: [rad/s or m/s], shape (n,).
-        a: [rad/s^2 or m/s^2], shape (n,).
+        q: Positions [rad or m], shape (n,).
+        v: Velocities [rad/s or m/s], shape (n,).
+        a: Accelerations [rad/s^2 or m/s^2], shape (n,).
     """
 
     q: Array
@@ -162,7 +166,7 @@ class Reference(NamedTuple):
 
 
 class Response(NamedTuple):
-    """How the controlled joints answer torques, couplings and loops kept.
+    """Response of the controlled joints to torques, with couplings and loops.
 
         a = a_free + mobility tau
 
@@ -180,7 +184,7 @@ class Response(NamedTuple):
 
 
 class EffortBox(NamedTuple):
-    """Efforts that the next command may have: torque and torque-rate limits together.
+    """Bounds of the next command: torque limits and torque-rate limits together.
 
     Attributes:
         lower: [N·m or N], shape (n,); -inf without a limit.
@@ -192,14 +196,14 @@ class EffortBox(NamedTuple):
 
 
 class Control(NamedTuple):
-    """The answer of a controller.
+    """Result of a control law.
 
     Attributes:
-        effort: Of the controlled joints [N·m or N], shape (n,).
+        effort: Efforts of the controlled joints [N·m or N], shape (n,).
         s: Sliding variable e' + lambda e of each [rad/s or m/s], shape (n,).
         equivalent: The part of `effort` that keeps s constant [N·m or N], shape (n,).
         memory_rate: Rate of change of the memory [1/s of its unit], shape (k,).
-        active: Which of `Controller.limit_names` hold the effort back; empty without limits.
+        active: Which of `Controller.limit_names` reduce the effort; empty without limits.
     """
 
     effort: Array
@@ -212,35 +216,35 @@ class Control(NamedTuple):
 def per_joint(
     value: Gain, n: int, name: str, *, above: float = 0.0, least: float | None = None
 ) -> Array:
-    """A gain as one value a joint, shape (n,), read-only.
+    """Return a gain as a read-only array with one value for each joint, shape (n,).
 
     Args:
-        value: One for all joints, or one a joint.
+        value: One value for all joints, or one for each.
         n: Number of joints.
-        name: Of the gain, for the message.
-        above: Every value must be greater.
-        least: Smallest value allowed, instead of `above`.
+        name: Name of the gain for messages.
+        above: Strict lower bound of the values.
+        least: Lower bound of the values, instead of `above`.
 
     Raises:
-        ModelError: Another length, not finite, or too small.
+        ModelError: Wrong number of values, or values that are not finite or too small.
     """
-    given = np.array(value, dtype=np.float64)
-    if given.ndim and given.shape != (n,):
-        raise ModelError(f"{name} has {given.size} values; accepted: one, or one a joint ({n})")
-    gains = np.full(n, given)
+    values = np.array(value, dtype=np.float64)
+    if values.ndim and values.shape != (n,):
+        raise ModelError(f"{name} has {values.size} values; accepted: one, or one a joint ({n})")
+    gains = np.full(n, values)
     is_enough = gains > above if least is None else gains >= least
     if not (np.isfinite(gains).all() and is_enough.all()):
         bound = f"> {above:g}" if least is None else f">= {least:g}"
-        raise ModelError(f"{name} {given.tolist()} must be finite and {bound}")
+        raise ModelError(f"{name} {values.tolist()} must be finite and {bound}")
     gains.flags.writeable = False
     return gains
 
 
 def tolerable_delay(gains: LoopGains, period: float) -> Array:
-    """The delay between a state and its command up to which a loop is stable, for each joint.
+    """Return the largest delay from state to command with which the loop of each joint is stable.
 
-    The open loop with the hold of one period h, a delay D and masses that the model takes for
-    too large by `MASS_ERROR`,
+    The open loop with a zero-order hold of one period h, a delay D, and masses that are too large
+    in the model by `MASS_ERROR`,
 
         L(jw) = g C(jw) / (jw)^2 sinc(w h / 2) exp(-jw (D + h/2)),   g = 1 / (1 - MASS_ERROR)
         C(jw) = stiffness + jw damping + integral (1 + slope / (jw))
@@ -250,15 +254,15 @@ def tolerable_delay(gains: LoopGains, period: float) -> Array:
         w^2 = g (g damping^2 + (g^2 damping^4 + 4 stiffness^2)^(1/2)) / 2
         D = atan(damping w / stiffness) / w - h / 2
 
-    A command acts from the next period on: delays count in whole periods.
+    A command takes effect at the next period, so delays are whole numbers of periods.
 
     Args:
-        gains: Of the control law.
-        period: h [s], > 0.
+        gains: Gains of the control law.
+        period: Period h [s], > 0.
 
     Returns:
-        A whole number of periods [s], >= 0, at most `LONGEST`, shape (n,); 0 where the gains leave
-        no room for one.
+        Delays [s], multiples of the period of at most `LONGEST`, shape (n,); 0 where the loop
+        tolerates none.
 
     Source: K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed., 2021, sec. 10.3 (delay
         margin); G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems,
@@ -278,21 +282,21 @@ def tolerable_delay(gains: LoopGains, period: float) -> Array:
 
 
 def _frequencies(gains: LoopGains) -> Array:
-    """Grid about the crossover of each joint [rad/s], shape (n, k)."""
+    """Return a grid of frequencies about the crossover of each joint [rad/s], shape (n, k)."""
     kd, kp = _TOO_STRONG * gains.damping, _TOO_STRONG * gains.stiffness
     about = np.sqrt(0.5 * (kd**2 + np.sqrt(kd**4 + 4.0 * kp**2)))
     return np.asarray(about[:, None] * np.geomspace(0.2, 5.0, 1000))
 
 
 class LoopGains(NamedTuple):
-    """How a control law answers small errors of decoupled joints.
+    """Gains of a control law for small errors of decoupled joints.
 
         e'' = -(damping e' + stiffness e + integral of (e' + lambda e))
 
     Attributes:
-        stiffness: [1/s^2], shape (n,).
-        damping: [1/s], shape (n,).
-        integral: Of s = e' + lambda e, with lambda = `slope` [1/s^2], shape (n,).
+        stiffness: Gain of e [1/s^2], shape (n,).
+        damping: Gain of e' [1/s], shape (n,).
+        integral: Gain of the integral of s = e' + lambda e [1/s^2], shape (n,).
         slope: lambda [1/s], shape (n,).
     """
 
@@ -303,16 +307,16 @@ class LoopGains(NamedTuple):
 
 
 def sliding_gains(slope: Array, reaching: Array, integral: Array | float = 0.0) -> LoopGains:
-    """Of s' = -reaching s - integral of s with s = e' + slope e [1/s, 1/s, 1/s^2]."""
+    """Return the gains of s' = -reaching s - integral of s with s = e' + slope e."""
     wanted = np.broadcast_to(np.asarray(integral, dtype=np.float64), slope.shape)
     return LoopGains(slope * reaching, slope + reaching, wanted, slope)
 
 
 def pd_gains(stiffness: Array, damping: Array) -> LoopGains:
-    """Without an integral [1/s^2, 1/s]."""
+    """Return gains without an integral; stiffness in 1/s^2, damping in 1/s."""
     return LoopGains(stiffness, damping, np.zeros_like(damping), np.zeros_like(damping))
 
 
 def disturbance(a_free: Array) -> Array:
-    """Accelerations that masses wrong by `MASS_ERROR` cause at rest [rad/s^2 or m/s^2]."""
+    """Return accelerations due to masses wrong by `MASS_ERROR`, at rest [rad/s^2 or m/s^2]."""
     return MASS_ERROR * _TOO_STRONG * np.abs(a_free)

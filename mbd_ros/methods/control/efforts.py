@@ -1,4 +1,4 @@
-"""Efforts that give accelerations, and accelerations within limits."""
+"""Efforts for desired accelerations, and accelerations within motion limits."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from mbd_ros.core.thresholds import NEARLY_SINGULAR, TINY
 from mbd_ros.errors import ModelError, SolveError
 
 _SUCCESS = eigenpy.ComputationInfo.Success
-_IDLE_COST = 1.0e-2  # of that of the least mobile direction
-_RESERVE = 2.0  # times the braking acceleration: makes up for what a held effort loses
+_IDLE_COST = 1.0e-2  # relative to the cost of the least mobile direction
+_RESERVE = 2.0  # times the braking acceleration, to compensate for the constant effort of a period
 
 
 class MobilityFactor:
@@ -27,14 +27,14 @@ class MobilityFactor:
 
         tau = sum of v_i (v_i' a) / l_i  over  l_i > 1e-9 l_max
 
-    This is the effort of least norm whose acceleration comes nearest to a; a part that no
-    effort can give is left out, instead of asked for with huge efforts.
+    This is the effort of least norm whose acceleration is nearest to a. Components of a that no
+    effort can produce are ignored, instead of causing huge efforts.
 
     Args:
         mobility: A [acceleration per effort], shape (n, n).
 
     Attributes:
-        is_regular: Whether every acceleration can be given.
+        is_regular: Whether efforts can produce every acceleration.
 
     Raises:
         SolveError: A is not finite.
@@ -58,13 +58,13 @@ class MobilityFactor:
         self._values, self._vectors = values[kept], vectors[:, kept]
 
     def solve(self, a: Array) -> Array:
-        """Efforts for accelerations, shape (n,); or for one acceleration a column."""
+        """Return the efforts for accelerations, shape (n,), or for one acceleration a column."""
         if self.is_regular:
             return self._cholesky.solve(a).reshape(a.shape)  # eigenpy has its own for n = 1
         return (self._vectors / self._values).dot(self._vectors.T.dot(a))
 
     def reachable(self, a: Array) -> Array:
-        """The part of accelerations that efforts can give, shape (n,)."""
+        """Return the part of accelerations that efforts can produce, shape (n,)."""
         return a if self.is_regular else self._vectors.dot(self._vectors.T.dot(a))
 
 
@@ -97,7 +97,7 @@ class TrackingMetric:
             self._Q, self._R = np.linalg.qr(image)
 
     def efforts(self, a: Array) -> Array:
-        """Those that add accelerations best, of least norm [N·m or N].
+        """Return the efforts of least norm that add accelerations best [N·m or N].
 
         Args:
             a: One acceleration a column [rad/s^2 or m/s^2], shape (n, k).
@@ -111,7 +111,7 @@ class TrackingMetric:
         return self._moving.dot(np.linalg.solve(self._R, target))
 
     def directions(self) -> Array:
-        """T, shape (n, n)."""
+        """Return T, shape (n, n)."""
         if self._factor.is_regular:
             return self._factor.solve(np.diag(1.0 / self._root))
         least = np.abs(self._R.diagonal()).min(initial=np.inf)
@@ -121,9 +121,9 @@ class TrackingMetric:
 
 
 class MotionLimits:
-    """Position and velocity limits of joints as limits of their accelerations, a horizon ahead.
+    """Bounds of joint accelerations that follow from position and velocity limits.
 
-    An acceleration a is held for h. With the distance d to a position limit and the
+    An acceleration a is constant for a horizon h. With the distance d to a position limit and the
     velocity v towards it, it is allowed if the joint can still be stopped at the limit with its
     braking acceleration B afterwards, and does not pass it before:
 
@@ -131,14 +131,14 @@ class MotionLimits:
         v² <= -2 a d                             where it stops before
         v + h a <= v_max
 
-    A joint within its limits stays within, with decelerations of at most B, if a is held exactly.
-    A held effort does not quite hold a, and up to 2 B make up for it. A joint beyond a limit is
-    sent back with at most 2 B, with a velocity in proportion to its distance beyond.
+    A joint within its limits stays within, with decelerations of at most B, if a is exactly
+    constant. A constant effort does not quite achieve this, which up to 2 B compensate. A joint
+    beyond a limit returns with at most 2 B, at a velocity proportional to its distance beyond.
     Source: A. Del Prete, IEEE Robotics and Automation Letters 3(1), 281-288 (2018),
-    doi:10.1109/LRA.2017.2738321. It leaves out whether the drives can brake with B.
+    doi:10.1109/LRA.2017.2738321. Whether the drives can brake with B is not considered.
 
     Args:
-        joints: Joints; those without the limits that are kept are left out.
+        joints: Joints; those without limits of the chosen kinds are ignored.
         horizon: h [s], > 0; at least the period of the commands. Drives that need longer to turn
             their torque round need a longer one.
         braking: Time from the largest velocity to rest [s], >= horizon: B is the largest velocity
@@ -190,17 +190,17 @@ class MotionLimits:
         self._B, self._h, self._braking = most, horizon, braking
 
     def box(self, x: State) -> AccelerationBox:
-        """Limits at a state of all joints."""
+        """Return the bounds at a state of all joints."""
         h, B = self._h, self._B
         q, v = x.q[self._q], x.v[self._v]
         towards = np.stack([v, -v])  # its upper limits, and the mirror image of its lower ones
         d = self._ends - np.stack([q, -q])
         before_stop = 2.0 * d - h * towards
-        rest = np.sqrt(h * h * B * B + 4.0 * B * np.maximum(before_stop, 0.0)) - B * h
+        root = np.sqrt(h * h * B * B + 4.0 * B * np.maximum(before_stop, 0.0)) - B * h
         stop = -0.5 * towards * towards / np.maximum(d, TINY)
         back = (-np.minimum(-d / self._braking, self._fastest) - towards) / h
         within = np.where(d > 0.0, stop, back)
-        at_position = np.where(before_stop >= 0.0, (0.5 * rest - towards) / h, within)
+        at_position = np.where(before_stop >= 0.0, (0.5 * root - towards) / h, within)
         at_position = np.maximum(at_position, -_RESERVE * B)
         at_speed = np.maximum((self._fastest - towards) / h, -_RESERVE * B)
         high, low = np.minimum(at_position, at_speed)
@@ -227,12 +227,13 @@ def _is_limited(joint: Joint, position: bool, velocity: bool) -> bool:
 
 
 class AccelerationBox(NamedTuple):
-    """Accelerations that joints may have over the horizon.
+    """Bounds of joint accelerations over the horizon.
 
     Attributes:
-        lower: [rad/s^2 or m/s^2], shape (k,).
-        position_below: Whether the lower one is of the position limit, not of the velocity limit.
-        position_above: Same of the upper one.
+        lower: Lower bounds [rad/s^2 or m/s^2], shape (k,).
+        upper: Upper bounds [rad/s^2 or m/s^2], shape (k,).
+        position_below: Whether the lower bound follows from the position limit, shape (k,).
+        position_above: Whether the upper bound follows from the position limit, shape (k,).
     """
 
     lower: Array

@@ -99,7 +99,7 @@ class ReachingLaw:
         return np.where(self._layer > _NO_LAYER, self._layer, sampled)
 
     def slope(self, period: float) -> Array:
-        """Of rho within that layer [1/s], shape (n,)."""
+        """Return the slope of rho within the boundary layer [1/s], shape (n,)."""
         layer = self.layer(period)
         return self._gain * layer ** (self._power - 1.0) + self._rate
 

@@ -147,7 +147,7 @@ class IndependentSlopes:
 
     def __init__(self, system: Any, motion: list[State]) -> None:
         self._system = system
-        self._has_rows = bool(system.held.rows)
+        self._has_rows = bool(system.bilateral.rows)
         self.chosen = self._choose(motion)
 
     def at(self, y: State, u: Array) -> tuple[Array, Array]:
@@ -212,7 +212,7 @@ class IndependentSlopes:
         return T, -inverse[:, : len(J)].dot(np.stack(turns, axis=1))
 
     def _jacobian(self, t: float, q: Array) -> Array:
-        J: Array = self._system.held.jacobian(t, q)
+        J: Array = self._system.bilateral.jacobian(t, q)
         return J
 
 

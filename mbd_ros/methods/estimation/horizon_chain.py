@@ -1,13 +1,14 @@
-"""The window of a moving horizon as a chain: forward by covariances, back by costates.
+"""Moving-horizon estimation by sweeps: covariances forward, costates backward.
 
-For d_i+1 = F d_i + gap + G w_i, a prior of d_0 and white measurements r_i = H_i d_i the optimum is
+The steps d_i satisfy d_i+1 = F d_i + gap + G w_i, with a prior of d_0 and measurements
+r_i = H_i d_i of unit noise. The optimum is
 
     e = r - H m,   m+ = m + K e + P+ h,   m_i+1 = F m+ + gap + G Q nu               (forward)
     d = m+ - P+ lam,   p = lam - h,   lam- = p - H' (S^-1 e + K' p),   lam_i-1 = F' lam-  (back)
     w = Q (nu - G' lam-)
 
-h and nu are multipliers of bounds on d and w. A new sample changes means; covariances change only
-behind a node that was linearised again. Sources: H. E. Rauch, F. Tung, C. T. Striebel,
+h and nu are multipliers of bounds on d and w. A new sample changes all means, but covariances only
+behind nodes that are linearised again. Sources: H. E. Rauch, F. Tung, C. T. Striebel,
 AIAA J. 3(8) (1965); A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, sec. 13.2, on costates.
 """
 
@@ -24,98 +25,106 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import NONE as _NONE
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-from mbd_ros.methods.estimation.process import Bounded, Observation, Process, Transition
+from mbd_ros.methods.estimation.process import Observation, Process, StateBounds, Transition
 
 Sides = NDArray[np.int8]  # 1 at the lower bound, -1 at the upper one
-_KEPT = 1.0e-10  # what a row may be beyond its bound, of its size
-_CERTAIN = 30.0  # deviations from a bound to what is measured, from which on the bound is wrong
-_JITTER = 1.0e-13  # of rows that nearly say the same
-_CHANGES = 300  # of rows
-_AT_ONCE = 20  # changes of several rows, then of single ones
+_TOLERANCE = 1.0e-10  # accepted excess over a bound, relative to 1 + the value
+_CERTAIN = 30.0  # standard deviations beyond which measurements refute a bound
+_JITTER = 1.0e-13  # relative regularisation of nearly dependent rows
+_CHANGES = 300  # largest number of changes of the active set
+_AT_ONCE = 20  # changes with several rows each; later ones add single rows
 
 
 class HorizonChain:
-    """Solves the windows of a horizon with a prior.
+    """Solves windows of a moving horizon that have a prior.
 
     Args:
-        lower: Smallest disturbances, shape (nw,).
-        upper: Largest disturbances, shape (nw,).
+        lower: Lower bounds of the disturbances, shape (nw,).
+        upper: Upper bounds of the disturbances, shape (nw,).
 
     Attributes:
-        released: Bounds of states that measurements contradict, by their place.
+        released: Indices of bounds of states that measurements contradict.
     """
 
     def __init__(self, process: Process, lower: Array, upper: Array) -> None:
-        self._process, self._lower, self._upper = process, lower, upper
-        self._whitening, self._unity = Whitening(), np.eye(process.n)
+        self._process = process
+        self._lower = lower
+        self._upper = upper
+        self._whitening = Whitening()
+        self._unity = np.eye(process.n)
         self.released = set[int]()
-        self._acting: tuple[float, Sides] | None = None  # time of the newest node, rows that act
+        self._active: tuple[float, Sides] | None = None  # time of the newest node, active rows
 
-    def solve(self, nodes: Sequence[Node], arrival: Arrival) -> Answer:
-        """Steps of all nodes.
+    def solve(self, nodes: Sequence[Node], arrival: Arrival) -> WindowSolution:
+        """Solve for the steps of all nodes.
 
         Args:
-            nodes: From the oldest to the newest.
-            arrival: Of the first one, with a covariance.
+            nodes: Nodes of the window, from the oldest to the newest.
+            arrival: Prior of the first node, with a covariance.
 
         Raises:
-            SolveError: A covariance is not positive, or bounds contradict one another.
+            SolveError: A covariance is not positive definite, or the bounds are infeasible.
         """
         assert arrival.P is not None
         links = self._links(nodes, arrival.P)
         first = self._process.minus(arrival.x, nodes[0].x)
         free = sweep(nodes, links, first, None)
         bounds = WindowBounds(nodes, self._lower, self._upper)
-        bounds.leave_out(self.released, free)
-        beyond = bounds.beyond(*free)
-        if not beyond.any():
-            self._acting = None
-            return Answer(free[0], links[-1].after, 0.0, 0, free[1])
-        return self._held(nodes, links, bounds, free)
+        bounds.exclude(self.released, free)
+        violated = bounds.find_violated(*free)
+        if not violated.any():
+            self._active = None
+            return WindowSolution(free[0], links[-1].after, 0.0, 0, free[1])
+        return self._solve_bounded(nodes, links, bounds, free)
 
-    def ahead(self, node: Node, going: Transition) -> Array:
-        """Covariance behind a node that has a link, before the next measurement."""
+    def predict_covariance(self, node: Node, transition: Transition) -> Array:
+        """Return the covariance after the interval behind a node that has a link."""
         link = node.link
         assert link is not None
-        if link.going is not going:
-            P = going.F.dot(link.after).dot(going.F.T) + going.noise
-            link.going, link.ahead = going, 0.5 * (P + P.T)
-        return link.ahead
+        if link.transition is not transition:
+            P = transition.F.dot(link.after).dot(transition.F.T) + transition.noise
+            link.transition = transition
+            link.predicted = 0.5 * (P + P.T)
+        return link.predicted
 
     def _links(self, nodes: Sequence[Node], P: Array) -> list[Link]:
         process, last = self._process, len(nodes) - 1
         for i, node in enumerate(nodes):
             link = node.link
-            if link is None or link.before is not P or link.seen is not node.seen:
-                link = node.link = self._linked(node, P)
+            if link is None or link.before is not P or link.observation is not node.observation:
+                link = node.link = self._create_link(node, P)
             if i == last:
                 break
-            going, following = node.going, nodes[i + 1]
-            assert going is not None
-            P = self.ahead(node, going)
-            if link.next_x is not following.x or link.F is not going.F:
-                link.next_x, link.F, link.G = following.x, going.F, going.G
-                link.gap = process.minus(going.x, following.x)
-                turn = process.turned(going.x, following.x)
-                if turn is not None:
-                    link.G = turn.dot(going.G)
-                    link.gap, link.turned = turn.dot(link.gap), turn.dot(going.F)
-                    link.ahead_turned = turn.dot(P).dot(turn.T)
+            transition, following = node.transition, nodes[i + 1]
+            assert transition is not None
+            P = self.predict_covariance(node, transition)
+            if link.next_x is not following.x or link.local_F is not transition.F:
+                link.next_x = following.x
+                link.local_F = transition.F
+                link.gap = process.minus(transition.x, following.x)
+                T = process.transport(transition.x, following.x)
+                if T is None:
+                    link.F = transition.F
+                    link.G = transition.G
+                    link.prior = P
                 else:
-                    link.turned, link.ahead_turned = going.F, P
-            P = link.ahead_turned
+                    link.F = T.dot(transition.F)
+                    link.G = T.dot(transition.G)
+                    link.gap = T.dot(link.gap)
+                    link.prior = T.dot(P).dot(T.T)
+            P = link.prior
         return [node.link for node in nodes if node.link is not None]
 
-    def _linked(self, node: Node, P: Array) -> Link:
-        """Covariance and gain of a measurement of unit noise."""
-        assert node.seen is not None
-        told, (y, slope, R) = np.isfinite(node.values), node.seen
-        if not told.any():
+    def _create_link(self, node: Node, P: Array) -> Link:
+        """Compute gain and covariance of a measurement that is scaled to unit noise."""
+        assert node.observation is not None
+        measured, (y, slope, R) = np.isfinite(node.values), node.observation
+        if not measured.any():
             none = np.zeros((0, len(P)))
-            return Link(P, node.seen, none, np.zeros(0), none.T, np.zeros((0, 0)), P)
-        whiten = self._whitening.of(R, told)
-        H = whiten.dot(slope[told])
-        r = whiten.dot(node.values[told] - y[told])
+            return Link(P, node.observation, none, np.zeros(0), none.T, np.zeros((0, 0)), P)
+        whiten = self._whitening.matrix(R, measured)
+        H = whiten.dot(slope[measured])
+        r = whiten.dot(node.values[measured] - y[measured])
         HP = H.dot(P)
         S = HP.dot(H.T)
         S.flat[:: len(S) + 1] += 1.0
@@ -123,47 +132,48 @@ class HorizonChain:
         if factor.info() != eigenpy.ComputationInfo.Success:
             raise SolveError("the covariance of the innovation is not positive definite")
         K = factor.solve(HP).reshape(HP.shape).T
-        rest = self._unity - K.dot(H)
-        after = rest.dot(P).dot(rest.T) + K.dot(K.T)
+        reduction = self._unity - K.dot(H)
+        after = reduction.dot(P).dot(reduction.T) + K.dot(K.T)
         weight = np.asarray(factor.solve(np.eye(len(r)))).reshape(len(r), len(r))
-        return Link(P, node.seen, H, r, K, weight, 0.5 * (after + after.T))
+        return Link(P, node.observation, H, r, K, weight, 0.5 * (after + after.T))
 
-    def _held(
+    def _solve_bounded(
         self,
         nodes: Sequence[Node],
         links: Sequence[Link],
         bounds: WindowBounds,
         free: tuple[Array, Array],
-    ) -> Answer:
-        """The answer with all bounds kept.
+    ) -> WindowSolution:
+        """Solve with all bounds, by an active-set method.
 
         Raises:
-            SolveError: Exchanges do not end.
+            SolveError: The active set does not settle.
         """
-        sides, known = self._guess(nodes, bounds), Responses(nodes, links, bounds, free)
-        worst = bounds.worst(bounds.beyond(*free), *free, is_alone=False)
-        known.add(np.flatnonzero((sides != 0) | (worst != 0)))
-        self._acting = None
+        sides, responses = self._guess(nodes, bounds), Responses(nodes, links, bounds, free)
+        worst = bounds.worst(bounds.find_violated(*free), *free, only_one=False)
+        responses.add(np.flatnonzero((sides != 0) | (worst != 0)))
+        self._active = None
         while True:
-            sides, push = exchanged(bounds, known, sides)
+            sides, lam = solve_active_set(bounds, responses, sides)
             rows = np.flatnonzero(sides)
-            gone = bounds.give_way(rows, push * (bounds.sided(sides) - known.outside(rows)))
-            if not len(gone):
+            misfit = lam * (bounds.active_bounds(sides) - responses.unbounded_values(rows))
+            released = bounds.release_contradicted(rows, misfit)
+            if not len(released):
                 break
-            self.released |= set(gone.tolist())
-            sides[:, gone] = 0
-        self._acting = nodes[-1].t, sides
-        steps, w = known.moved(rows, push)
-        there = bounds.values(steps, w).ravel()[rows]
-        residual = float(np.abs(there - bounds.sided(sides)).max(initial=0.0))
-        return Answer(steps, links[-1].after, residual, len(rows), w)
+            self.released |= set(released.tolist())
+            sides[:, released] = 0
+        self._active = nodes[-1].t, sides
+        steps, w = responses.motion(rows, lam)
+        values = bounds.values(steps, w).ravel()[rows]
+        residual = float(np.abs(values - bounds.active_bounds(sides)).max(initial=0.0))
+        return WindowSolution(steps, links[-1].after, residual, len(rows), w)
 
     def _guess(self, nodes: Sequence[Node], bounds: WindowBounds) -> Sides:
-        """Rows that acted in the last answer, as far as they are still in the window."""
+        """Return the active rows of the last solution that are still in the window."""
         sides = np.zeros(bounds.shape, dtype=np.int8)
-        if self._acting is None:
+        if self._active is None:
             return sides
-        t, before = self._acting
+        t, before = self._active
         end = len(nodes) - int(t < nodes[-1].t)
         count = min(end, len(before))
         if before.shape[1] == sides.shape[1] and count:
@@ -173,80 +183,81 @@ class HorizonChain:
 
 @dataclass
 class Node:
-    """One time of the window.
+    """One sample of the window.
 
     Attributes:
         t: Time [s].
-        x: State about which it is linearised.
-        values: What was measured, NaN where nothing was or where it does not count, shape (m,).
+        x: State about which the node is linearised.
+        values: Measured values, NaN where not measured or not used, shape (m,).
         u: Inputs after it.
-        going: To the next node, linearised at x; None at the end.
-        seen: Linearised at x.
-        link: What a chain knows of it.
+        transition: Interval to the next node, linearised at x; None for the last node.
+        observation: Expected measurement, linearised at x.
+        bounds: Bounded quantities, linearised at x; None without bounds.
+        link: Cached results of the forward sweep.
     """
 
     t: float
     x: Any
     values: Array
     u: Array | None = None
-    going: Transition | None = None
-    seen: Observation | None = None
-    bounded: Bounded | None = None
+    transition: Transition | None = None
+    observation: Observation | None = None
+    bounds: StateBounds | None = None
     link: Link | None = None
 
 
-def _unknown() -> Array:
+def _unset() -> Array:
     return _NONE
 
 
 @dataclass
 class Link:
-    """What a chain knows of a node, see `horizon_chain`; measurements have unit noise.
+    """Results of the forward sweep at a node, with measurements scaled to unit noise.
 
     Attributes:
         before: Covariance before the measurement, shape (n, n).
-        seen: About which it is linearised.
-        H: Shape (m, n).
-        r: Measured less expected, shape (m,).
+        observation: Linearised measurement of the node.
+        H: Derivative of the scaled measurement, shape (m, n).
+        r: Scaled measured minus expected values, shape (m,).
         K: Gain, shape (n, m).
         weight: Inverse of the covariance of the innovation, shape (m, m).
         after: Covariance after the measurement, shape (n, n).
-        going: The interval behind it; None while there is none.
-        ahead: Covariance at its end, in the tangent there.
-        next_x: The state of the next node.
-        F: Of `going`.
-        turned: F, to the tangent of the next node.
-        G: Of `going`, to the tangent of the next node.
-        gap: From the next node to the end of the interval, in the tangent of that node.
-        ahead_turned: `ahead`, in the tangent of the next node.
+        transition: Interval behind the node; None before it is known.
+        predicted: Covariance at the end of the interval, in the tangent there.
+        next_x: State of the next node.
+        local_F: `Transition.F`, to the tangent at the end of the interval.
+        F: `Transition.F`, to the tangent of the next node.
+        G: `Transition.G`, to the tangent of the next node.
+        gap: Step from the next node to the end of the interval, in the tangent of that node.
+        prior: `predicted`, in the tangent of the next node.
     """
 
     before: Array
-    seen: Observation
+    observation: Observation
     H: Array
     r: Array
     K: Array
     weight: Array
     after: Array
-    going: Transition | None = None
-    ahead: Array = field(default_factory=_unknown)
+    transition: Transition | None = None
+    predicted: Array = field(default_factory=_unset)
     next_x: Any = None
-    F: Array | None = None
-    turned: Array = field(default_factory=_unknown)
-    G: Array = field(default_factory=_unknown)
-    gap: Array = field(default_factory=_unknown)
-    ahead_turned: Array = field(default_factory=_unknown)
+    local_F: Array | None = None
+    F: Array = field(default_factory=_unset)
+    G: Array = field(default_factory=_unset)
+    gap: Array = field(default_factory=_unset)
+    prior: Array = field(default_factory=_unset)
 
 
-class Answer(NamedTuple):
-    """What a solve of the window found.
+class WindowSolution(NamedTuple):
+    """Solution of the program of a window.
 
     Attributes:
-        steps: From the states of the nodes, one row a node, shape (count, n).
-        P: Covariance of the last one, where no bound acts, shape (n, n).
-        residual: Of the conditions of the optimum.
-        active: How many bounds act.
-        w: Disturbances, shape (count - 1, nw).
+        steps: Tangent step of each node, one a row, shape (count, n).
+        P: Covariance of the last node, regardless of active bounds, shape (n, n).
+        residual: Residual of the optimality conditions.
+        active: Number of active bounds.
+        w: Disturbances between the nodes, shape (count - 1, nw).
     """
 
     steps: Array
@@ -257,10 +268,11 @@ class Answer(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """What is known of the first node before its measurements.
+    """Prior of the first node of a window, before its measurement.
 
     Attributes:
-        P: Covariance, shape (n, n); None where nothing is known.
+        x: Mean.
+        P: Covariance, shape (n, n); None without a prior.
     """
 
     x: Any
@@ -268,22 +280,22 @@ class Arrival(NamedTuple):
 
 
 class Whitening:
-    """W with W R W' = 1 for what was measured; the last one is kept."""
+    """Scaling of measurements to unit noise, with a cache for the last covariance."""
 
     def __init__(self) -> None:
-        self._known: tuple[Array, bytes, Array] | None = None
+        self._known: tuple[Array, NDArray[np.bool_], Array] | None = None
 
-    def of(self, R: Array, told: NDArray[np.bool_]) -> Array:
-        """W, shape as many as told.
+    def matrix(self, R: Array, measured: NDArray[np.bool_]) -> Array:
+        """Return W with W R W' = 1 for the measured values.
 
         Args:
             R: Covariance of the noise, shape (m, m).
-            told: What was measured, shape (m,).
+            measured: Which values were measured, shape (m,).
         """
-        known, key = self._known, told.tobytes()
-        if known is None or known[0] is not R or known[1] != key:
-            factor = np.linalg.cholesky(R[np.ix_(told, told)])
-            self._known = known = R, key, np.linalg.inv(factor)
+        known = self._known
+        if known is None or known[0] is not R or not np.array_equal(known[1], measured):
+            factor = np.linalg.cholesky(R[np.ix_(measured, measured)])
+            self._known = known = R, measured.copy(), np.linalg.inv(factor)
         return known[2]
 
 
@@ -291,54 +303,58 @@ def sweep(
     nodes: Sequence[Node],
     links: Sequence[Link],
     first: Array,
-    pushes: tuple[dict[int, Array], dict[int, Array]] | None,
+    multipliers: tuple[dict[int, Array], dict[int, Array]] | None,
 ) -> tuple[Array, Array]:
-    """Steps and disturbances: of the window, or what multipliers of bounds add to them.
+    """Return steps and disturbances of a window, or their response to multipliers of bounds.
 
     Args:
-        nodes: Of the window.
+        nodes: Nodes of the window.
+        links: Results of the forward sweep.
         first: Prior mean of the first step, shape (n,) or (n, k).
-        pushes: Multipliers h and nu by node, shape (n, k) and (nw, k); None without any.
+        multipliers: Multipliers h and nu by node, shape (n, k) and (nw, k). With None, the
+            result is that of the window without bounds.
     """
-    is_window, m, after, off = pushes is None, first, [], []
-    h, nu = ({}, {}) if pushes is None else pushes
+    is_window, m, after, innovations = multipliers is None, first, [], []
+    h, nu = ({}, {}) if multipliers is None else multipliers
     last = len(links) - 1
     for i, link in enumerate(links):
         e = link.r - link.H.dot(m) if is_window else -link.H.dot(m)
-        off.append(e)
+        innovations.append(e)
         m = m + link.K.dot(e)
         if i in h:
             m = m + link.after.dot(h[i])
         after.append(m)
         if i < last:
-            m = link.turned.dot(m)
+            m = link.F.dot(m)
             if is_window:
                 m = m + link.gap
             if i in nu:
-                m = m + link.G.dot(nodes[i].going.Q.dot(nu[i]))  # type: ignore[union-attr]
+                m = m + link.G.dot(nodes[i].transition.Q.dot(nu[i]))  # type: ignore[union-attr]
     steps, w = np.empty((len(links), *first.shape)), []
     lam = np.zeros(first.shape)
     for i in range(last, -1, -1):
         link = links[i]
         if i < last:
-            pushed = -link.G.T.dot(lam)
+            gradient = -link.G.T.dot(lam)
             if i in nu:
-                pushed = pushed + nu[i]
-            w.append(nodes[i].going.Q.dot(pushed))  # type: ignore[union-attr]
-            lam = link.turned.T.dot(lam)
+                gradient = gradient + nu[i]
+            w.append(nodes[i].transition.Q.dot(gradient))  # type: ignore[union-attr]
+            lam = link.F.T.dot(lam)
         steps[i] = after[i] - link.after.dot(lam)
         if i in h:
             lam = lam - h[i]
-        lam = lam - link.H.T.dot(link.weight.dot(off[i]) + link.K.T.dot(lam))
+        lam = lam - link.H.T.dot(link.weight.dot(innovations[i]) + link.K.T.dot(lam))
     return steps, np.array(w[::-1])
 
 
 class Responses:
-    """What multipliers of rows add to the steps and disturbances of a window.
+    """Response of steps and disturbances of a window to unit multipliers of its bounds.
 
     Args:
-        nodes: Of the window.
-        free: Steps and disturbances where no row acts.
+        nodes: Nodes of the window.
+        links: Results of the forward sweep.
+        bounds: Bounds of the window.
+        free: Steps and disturbances without active bounds.
     """
 
     def __init__(
@@ -348,144 +364,153 @@ class Responses:
         bounds: WindowBounds,
         free: tuple[Array, Array],
     ) -> None:
-        self._nodes, self._links, self._bounds, self._free = nodes, links, bounds, free
-        self._outside = bounds.values(*free).ravel()
-        self._at = dict[int, int]()
+        self._nodes = nodes
+        self._links = links
+        self._bounds = bounds
+        self._free = free
+        self._unbounded_values = bounds.values(*free).ravel()
+        self._at = dict[int, int]()  # row -> index of its response
         n, nw = links[0].before.shape[0], len(bounds.lower_w)
-        self._steps, self._w = np.zeros((len(nodes), n, 0)), np.zeros((len(nodes) - 1, nw, 0))
+        self._steps = np.zeros((len(nodes), n, 0))
+        self._w = np.zeros((len(nodes) - 1, nw, 0))
         self._table = np.zeros((0, 0))
 
     def add(self, rows: NDArray[np.intp]) -> None:
-        """Find those of new rows, all in one sweep."""
+        """Compute the responses of new rows, all in one sweep."""
         new = [row for row in rows.tolist() if row not in self._at]
         if not new:
             return
-        pushes = self._bounds.pushes(new)
+        multipliers = self._bounds.unit_multipliers(new)
         n = self._steps.shape[1]
-        steps, w = sweep(self._nodes, self._links, np.zeros((n, len(new))), pushes)
+        steps, w = sweep(self._nodes, self._links, np.zeros((n, len(new))), multipliers)
         w = w.reshape(*self._w.shape[:2], len(new))
         self._at |= {row: len(self._at) + k for k, row in enumerate(new)}
         self._steps = np.concatenate((self._steps, steps), axis=2)
         self._w = np.concatenate((self._w, w), axis=2)
         columns = self._bounds.changes(np.array(list(self._at)), steps, w)
-        own = columns[: len(self._table)]
-        self._table = np.block([[self._table, own], [own.T, columns[len(own) :]]])
+        known = columns[: len(self._table)]
+        self._table = np.block([[self._table, known], [known.T, columns[len(known) :]]])
 
-    def outside(self, rows: NDArray[np.intp]) -> Array:
-        """What rows bound where none acts."""
-        return self._outside[rows]
+    def unbounded_values(self, rows: NDArray[np.intp]) -> Array:
+        """Return the values that rows bound, without active bounds."""
+        return self._unbounded_values[rows]
 
     def multipliers(self, rows: NDArray[np.intp], sides: Sides) -> Array:
-        """Those that put rows on their bounds, all of them and no others."""
+        """Return the multipliers that put exactly these rows on their bounds."""
         self.add(rows)
-        return solved(self.table(rows), self._bounds.sided(sides) - self._outside[rows])
+        excess = self._bounds.active_bounds(sides) - self._unbounded_values[rows]
+        return solve_multipliers(self.table(rows), excess)
 
     def table(self, rows: NDArray[np.intp]) -> Array:
-        """Change of each row by the multiplier of each row, symmetric, shape (k, k)."""
+        """Return the change of each row by each multiplier, symmetric, shape (k, k)."""
         at = [self._at[row] for row in rows.tolist()]
         return self._table[np.ix_(at, at)]
 
-    def moved(self, rows: NDArray[np.intp], push: Array) -> tuple[Array, Array]:
-        """Steps and disturbances under multipliers."""
-        whole = np.zeros(len(self._at))
-        whole[[self._at[row] for row in rows.tolist()]] = push
+    def motion(self, rows: NDArray[np.intp], lam: Array) -> tuple[Array, Array]:
+        """Return steps and disturbances under multipliers of some rows."""
+        all_lam = np.zeros(len(self._at))
+        all_lam[[self._at[row] for row in rows.tolist()]] = lam
         steps, w = self._free
-        return steps + self._steps.dot(whole), w + self._w.dot(whole) if len(w) else w
+        return steps + self._steps.dot(all_lam), w + self._w.dot(all_lam) if len(w) else w
 
 
-def solved(S: Array, right: Array) -> Array:
-    """Multipliers, by the least ones where rows say the same."""
+def solve_multipliers(S: Array, right: Array) -> Array:
+    """Solve S lam = right, with the least-squares solution where rows are dependent."""
     if not len(right):
         return right
     for jitter in (0.0, _JITTER * float(S.diagonal().max())):
         factor = eigenpy.LLT(S + jitter * np.eye(len(S)))
         if factor.info() == eigenpy.ComputationInfo.Success:
-            push = factor.solve(right).ravel()
-            return np.asarray(push + factor.solve(right - S.dot(push)).ravel())
+            lam = factor.solve(right).ravel()
+            return np.asarray(lam + factor.solve(right - S.dot(lam)).ravel())
     return np.asarray(np.linalg.lstsq(S, right, rcond=None)[0])
 
 
-def exchanged(bounds: WindowBounds, known: Responses, sides: Sides) -> tuple[Sides, Array]:
-    """Rows that act at the optimum, and their multipliers: least squares with signs.
+def solve_active_set(
+    bounds: WindowBounds, responses: Responses, sides: Sides
+) -> tuple[Sides, Array]:
+    """Return the active bounds at the optimum and their multipliers (sign-constrained NNLS).
 
-    Of each row of the nodes the worst one is taken in at a time, of all of them where that takes
-    long, which always ends.
+    Each change adds the most violated bound of every kind. After many changes only the single most
+    violated bound is added, for which the method is known to terminate.
 
     Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
 
     Args:
-        known: What their multipliers do.
-        sides: Rows that act, as far as one can guess.
+        bounds: Bounds of the window.
+        responses: Responses to multipliers.
+        sides: Initial guess of the active bounds.
 
     Raises:
-        SolveError: Exchanges do not end.
+        SolveError: The active set does not settle.
     """
-    push = np.zeros(bounds.exist.size)
+    lam = np.zeros(bounds.exist.size)
     while True:
         rows = np.flatnonzero(sides)
-        wanted = known.multipliers(rows, sides)
-        wrong = (wanted * sides.ravel()[rows] <= 0.0) & ~bounds.are_equal[rows]
+        target = responses.multipliers(rows, sides)
+        wrong = (target * sides.ravel()[rows] <= 0.0) & ~bounds.are_equal[rows]
         if not wrong.any():
             break
         sides.flat[rows[wrong]] = 0
-    push[rows] = wanted
+    lam[rows] = target
     for k in range(_CHANGES):
         rows = np.flatnonzero(sides)
-        steps, w = known.moved(rows, push[rows])
-        beyond = np.where(sides == 0, bounds.beyond(steps, w), 0).astype(np.int8)
-        if not beyond.any():
-            return sides, push[rows]
-        sides = sides + bounds.worst(beyond, steps, w, is_alone=k >= _AT_ONCE)
-        _shortened(bounds, known, sides, push)
-    raise SolveError("the bounds of the window contradict one another")
+        steps, w = responses.motion(rows, lam[rows])
+        violated = np.where(sides == 0, bounds.find_violated(steps, w), 0).astype(np.int8)
+        if not violated.any():
+            return sides, lam[rows]
+        sides = sides + bounds.worst(violated, steps, w, only_one=k >= _AT_ONCE)
+        _drop_wrong_signs(bounds, responses, sides, lam)
+    raise SolveError("the bounds of the window are infeasible: no motion satisfies all of them")
 
 
-def _shortened(bounds: WindowBounds, known: Responses, sides: Sides, push: Array) -> None:
-    """Go towards the multipliers of the rows as far as none pulls, and leave out those that do."""
+def _drop_wrong_signs(
+    bounds: WindowBounds, responses: Responses, sides: Sides, lam: Array
+) -> None:
+    """Move multipliers towards their solution, and drop bounds whose sign would change."""
     while True:
         rows = np.flatnonzero(sides)
-        wanted, signs = known.multipliers(rows, sides), sides.ravel()[rows]
-        wrong = (wanted * signs <= 0.0) & ~bounds.are_equal[rows]
+        target, signs = responses.multipliers(rows, sides), sides.ravel()[rows]
+        wrong = (target * signs <= 0.0) & ~bounds.are_equal[rows]
         if not wrong.any():
-            push[rows] = wanted
+            lam[rows] = target
             return
         shares = np.full(len(rows), np.inf)
-        shares[wrong] = push[rows[wrong]] / (push[rows[wrong]] - wanted[wrong])
-        push[rows] += shares.min() * (wanted - push[rows])
-        left = rows[shares <= shares.min()]
-        push[left], sides.flat[left] = 0.0, 0
+        shares[wrong] = lam[rows[wrong]] / (lam[rows[wrong]] - target[wrong])
+        lam[rows] += shares.min() * (target - lam[rows])
+        dropped = rows[shares <= shares.min()]
+        lam[dropped], sides.flat[dropped] = 0.0, 0
 
 
 class WindowBounds:
-    """Rows of a window: those of each node, then those of the disturbance behind it.
+    """Bounds of a window: one row for each node, of its state, then of the disturbance behind it.
 
     Args:
-        nodes: Of the window, all with bounds of the same rows, or none.
-        lower: Smallest disturbances, shape (nw,).
-        upper: Largest disturbances, shape (nw,).
+        nodes: Nodes of the window, either all with the same bounded quantities or none.
+        lower: Lower bounds of the disturbances, shape (nw,).
+        upper: Upper bounds of the disturbances, shape (nw,).
 
     Attributes:
-        shape: Nodes, and rows of each.
-        exist: Which rows there are and count, of that shape.
-        are_equal: Which rows have one bound on both sides, flat.
+        shape: Number of nodes, and number of bounds of each.
+        exist: Which bounds exist and apply, of that shape.
+        are_equal: Which bounds have equal lower and upper values, flat.
     """
 
     def __init__(self, nodes: Sequence[Node], lower: Array, upper: Array) -> None:
         self.lower_w = lower
-        every = [node.bounded for node in nodes]
-        held = [one for one in every if one is not None]
-        self._b = len(held[0].values) if len(held) == len(every) else 0
+        states = [node.bounds for node in nodes if node.bounds is not None]
+        self._b = len(states[0].values) if len(states) == len(nodes) else 0
         self._which = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
         count = len(nodes)
         self.shape = count, self._b + len(self._which)
         self._lower, self._upper = np.full((2, *self.shape), -np.inf)
         self._upper[:] = np.inf
         if self._b:
-            self._here = np.array([one.values for one in held])
-            self._by = [one.by for one in held]
-            self._lower[:, : self._b] = [one.lower for one in held]
-            self._upper[:, : self._b] = [one.upper for one in held]
-            self._may_be_wrong = held[0].may_be_wrong
+            self._state_values = np.array([state.values for state in states])
+            self._slopes = [state.slope for state in states]
+            self._lower[:, : self._b] = [state.lower for state in states]
+            self._upper[:, : self._b] = [state.upper for state in states]
+            self._can_be_released = states[0].can_be_released
         if len(self._which):
             self._lower[:-1, self._b :] = lower[self._which]
             self._upper[:-1, self._b :] = upper[self._which]
@@ -493,98 +518,99 @@ class WindowBounds:
         self.are_equal = (self._lower >= self._upper).ravel()
 
     def values(self, steps: Array, w: Array) -> Array:
-        """What the rows bound, of their shape."""
-        found = np.zeros(self.shape)
+        """Return the bounded values, of the shape of the bounds."""
+        values = np.zeros(self.shape)
         if self._b:
-            by = self._by
-            if all(one is by[0] for one in by):
-                moved = steps.dot(by[0].T)
+            slopes = self._slopes
+            if all(slope is slopes[0] for slope in slopes):
+                changes = steps.dot(slopes[0].T)
             else:
-                moved = np.einsum("ibn,in->ib", np.array(by), steps)
-            found[:, : self._b] = self._here + moved
+                changes = np.einsum("ibn,in->ib", np.array(slopes), steps)
+            values[:, : self._b] = self._state_values + changes
         if len(self._which) and len(w):
-            found[:-1, self._b :] = w[:, self._which]
-        return found
+            values[:-1, self._b :] = w[:, self._which]
+        return values
 
-    def beyond(self, steps: Array, w: Array) -> Sides:
-        """Bounds that are passed."""
-        there = self.values(steps, w)
-        slack = _KEPT * (1.0 + np.abs(there))
-        low, high = there < self._lower - slack, there > self._upper + slack
+    def find_violated(self, steps: Array, w: Array) -> Sides:
+        """Return which bounds are violated, and on which side."""
+        values = self.values(steps, w)
+        slack = _TOLERANCE * (1.0 + np.abs(values))
+        low, high = values < self._lower - slack, values > self._upper + slack
         sides: Sides = np.where(self.exist, low.astype(np.int8) - high.astype(np.int8), 0)
         return sides
 
-    def leave_out(self, released: set[int], free: tuple[Array, Array]) -> None:
-        """Leave out bounds that were found to be wrong, as long as they are passed.
+    def exclude(self, released: set[int], free: tuple[Array, Array]) -> None:
+        """Exclude released bounds from the window as long as they are violated.
 
         Args:
-            released: Their places; those that are kept again are taken out.
-            free: Steps and disturbances where no bound acts.
+            released: Indices of the released bounds; those that hold again are removed from it.
+            free: Steps and disturbances without active bounds.
         """
         if released:
-            beyond = self.beyond(*free).any(axis=0)
-            released &= set(np.flatnonzero(beyond).tolist())
+            violated = self.find_violated(*free).any(axis=0)
+            released &= set(np.flatnonzero(violated).tolist())
             self.exist[:, sorted(released)] = False
 
-    def worst(self, beyond: Sides, steps: Array, w: Array, *, is_alone: bool) -> Sides:
-        """The node at which each row is farthest beyond its bound; one row where it is alone."""
-        there = self.values(steps, w)
-        off = np.where(beyond > 0, self._lower - there, there - self._upper)
-        off, found = np.where(beyond != 0, off, -1.0), np.zeros_like(beyond)
-        columns = np.arange(off.shape[1])
-        nodes = off.argmax(axis=0)
-        if is_alone:
-            columns = columns[[int(off[nodes, columns].argmax())]]
+    def worst(self, violated: Sides, steps: Array, w: Array, *, only_one: bool) -> Sides:
+        """Return, for each bound, the node with the largest violation, or only the largest one."""
+        values = self.values(steps, w)
+        excess = np.where(violated > 0, self._lower - values, values - self._upper)
+        excess, sides = np.where(violated != 0, excess, -1.0), np.zeros_like(violated)
+        columns = np.arange(excess.shape[1])
+        nodes = excess.argmax(axis=0)
+        if only_one:
+            columns = columns[[int(excess[nodes, columns].argmax())]]
         at = nodes[columns], columns
-        found[at] = beyond[at]
-        return found
+        sides[at] = violated[at]
+        return sides
 
-    def give_way(self, rows: NDArray[np.intp], shares: Array) -> NDArray[np.intp]:
-        """Leave out bounds that measurements contradict beyond doubt; returns their columns.
+    def release_contradicted(self, rows: NDArray[np.intp], misfit: Array) -> NDArray[np.intp]:
+        """Exclude bounds that measurements clearly contradict, and return their indices.
 
         Args:
-            rows: That act, flat.
-            shares: What each adds to the squared and normalised misfit.
+            rows: Active bounds, flat.
+            misfit: Contribution of each to the squared, normalised misfit of the measurements.
         """
-        if not self._b or self._may_be_wrong is None:
+        if not self._b or self._can_be_released is None:
             return np.zeros(0, dtype=np.intp)
-        total = np.bincount(rows % self.shape[1], shares, minlength=self.shape[1])[: self._b]
-        wrong = np.flatnonzero((total > _CERTAIN**2) & self._may_be_wrong)
+        total = np.bincount(rows % self.shape[1], misfit, minlength=self.shape[1])[: self._b]
+        wrong = np.flatnonzero((total > _CERTAIN**2) & self._can_be_released)
         self.exist[:, wrong] = False
         return wrong
 
-    def sided(self, sides: Sides) -> Array:
-        """The bounds of the rows that act, in their order."""
+    def active_bounds(self, sides: Sides) -> Array:
+        """Return the values of the active bounds, in their order."""
         chosen = sides != 0
         return np.where(sides > 0, self._lower, self._upper)[chosen]
 
-    def pushes(self, rows: Sequence[int]) -> tuple[dict[int, Array], dict[int, Array]]:
-        """Unit multipliers of rows, by node: of states, shape (n, k), and disturbances."""
+    def unit_multipliers(self, rows: Sequence[int]) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Return unit multipliers by node: of states, (n, k), and of disturbances, (nw, k)."""
         h, nu = dict[int, Array](), dict[int, Array]()
         for k, row in enumerate(rows):
             i, j = divmod(row, self.shape[1])
             if j < self._b:
-                n = self._by[i].shape[1]
-                h.setdefault(i, np.zeros((n, len(rows))))[:, k] = self._by[i][j]
+                n = self._slopes[i].shape[1]
+                h.setdefault(i, np.zeros((n, len(rows))))[:, k] = self._slopes[i][j]
             else:
                 block = nu.setdefault(i, np.zeros((len(self.lower_w), len(rows))))
                 block[self._which[j - self._b], k] = 1.0
         return h, nu
 
     def changes(self, rows: NDArray[np.intp], steps: Array, w: Array) -> Array:
-        """What rows change by, shape (rows, k).
+        """Return the changes of bounded values, shape (rows, k).
 
         Args:
-            steps: Of the nodes, shape (count, n, k).
-            w: Of disturbances, shape (count - 1, nw, k).
+            rows: Bounds, flat.
+            steps: Changes of the steps, shape (count, n, k).
+            w: Changes of the disturbances, shape (count - 1, nw, k).
         """
         nodes, at = np.divmod(rows, self.shape[1])
-        found = np.empty((len(rows), steps.shape[2]))
+        changes = np.empty((len(rows), steps.shape[2]))
         states = at < self._b
         if states.any():
             pairs = zip(nodes[states].tolist(), at[states].tolist(), strict=True)
-            by = np.array([self._by[i][j] for i, j in pairs])
-            found[states] = np.einsum("rn,rnk->rk", by, steps[nodes[states]])
+            slopes = np.array([self._slopes[i][j] for i, j in pairs])
+            changes[states] = np.einsum("rn,rnk->rk", slopes, steps[nodes[states]])
         if not states.all():
-            found[~states] = w[nodes[~states], self._which[at[~states] - self._b]]
-        return found
+            changes[~states] = w[nodes[~states], self._which[at[~states] - self._b]]
+        return changes

@@ -1,10 +1,11 @@
-"""The window of a moving horizon: its nodes, and their program.
+"""Moving-horizon estimation: the quadratic program of a window of nodes.
 
     min |x_s (-) xbar|^2_{P^-1} + sum |w_k|^2_{Q^-1} + sum |y_k - h(x_k)|^2_{R^-1}
     subject to x_k+1 = f(x_k, u_k) (+) G w_k,  bounds of x_k and of w_k
 
-Gauss and Newton's method over several shoots: nodes are linearised where they stand, gaps between
-them close with the step. What is searched, xi, is white: x_s by the factor of P, w by that of Q.
+The program is solved by multiple shooting with Gauss-Newton steps: each node is linearised at its
+own state, and a step closes the gaps between nodes. The unknowns xi have unit covariance: x_s is
+scaled by the factor of P, w by that of Q.
 Sources: C. V. Rao, J. B. Rawlings, D. Q. Mayne, IEEE Trans. Autom. Control 48(2) (2003);
 H. G. Bock, multiple shooting, 1983; M. Diehl et al., in Assessment and Future Directions of
 Nonlinear MPC, 2007, on one iteration a sample.
@@ -19,14 +20,14 @@ from mbd_ros.core.optimization.hard_soft_qp import Optimum, RowBoundedQp
 from mbd_ros.core.state import NONE as _NONE
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-from mbd_ros.methods.estimation.horizon_chain import Answer, Arrival, Node, Whitening
+from mbd_ros.methods.estimation.horizon_chain import Arrival, Node, Whitening, WindowSolution
 from mbd_ros.methods.estimation.process import Process, Transition
 
-_FLOOR = 1.0e-15  # eigenvalues of a covariance below that share of the largest are none
+_FLOOR = 1.0e-15  # eigenvalues of a covariance below this share of the largest count as 0
 
 
 class Rows(NamedTuple):
-    """lower <= C xi <= upper, for as many xi as C has columns."""
+    """Bounds lower <= C xi <= upper on the first entries of xi, as many as C has columns."""
 
     C: Array
     lower: Array
@@ -37,23 +38,25 @@ class HorizonProgram:
     """Builds and solves the quadratic program of a window.
 
     Args:
-        lower: Smallest disturbances, shape (nw,).
-        upper: Largest disturbances, shape (nw,).
+        lower: Lower bounds of the disturbances, shape (nw,).
+        upper: Upper bounds of the disturbances, shape (nw,).
     """
 
     def __init__(self, process: Process, lower: Array, upper: Array) -> None:
-        self._process, self._lower, self._upper = process, lower, upper
+        self._process = process
+        self._lower = lower
+        self._upper = upper
         self._is_bounded = np.isfinite(lower) | np.isfinite(upper)
         self._qp = RowBoundedQp()
         self._whitening = Whitening()
 
-    def solve(self, nodes: list[Node], arrival: Arrival) -> Answer:
-        """Steps of all nodes.
+    def solve(self, nodes: list[Node], arrival: Arrival) -> WindowSolution:
+        """Solve for the steps of all nodes.
 
         Raises:
-            SolveError: Bounds contradict one another, or nothing determines the window.
+            SolveError: The bounds are infeasible, or the measurements do not determine the states.
         """
-        n, roots = self._process.n, [self._root(node.going) for node in nodes[:-1]]
+        n, roots = self._process.n, [self._root(node.transition) for node in nodes[:-1]]
         ends = [n, *(n + np.cumsum([L.shape[1] for L in roots])).tolist()]
         width = ends[-1]
         H, g = np.eye(width), np.zeros(width)
@@ -68,28 +71,30 @@ class HorizonProgram:
                 paths.append((S, e))
         factor = eigenpy.LLT(H)
         if factor.info() != eigenpy.ComputationInfo.Success:
-            raise SolveError("what was measured does not determine the window")
-        found = Optimum(-factor.solve(g).ravel(), _NONE, 0.0)
-        steps, w = _motion(found.x, paths, roots, ends)
-        if not self._are_kept(nodes, steps, w):
+            raise SolveError(
+                "the measurements of the window do not determine its states; add a sensor or prior"
+            )
+        optimum = Optimum(-factor.solve(g).ravel(), _NONE, 0.0)
+        steps, w = _motion(optimum.x, paths, roots, ends)
+        if not self._is_feasible(nodes, steps, w):
             rows = self._all_rows(nodes, paths, roots, ends)
-            found = self._qp.solve(H, g, *_stacked(rows, width))
-            steps, w = _motion(found.x, paths, roots, ends)
+            optimum = self._qp.solve(H, g, *_stack(rows, width))
+            steps, w = _motion(optimum.x, paths, roots, ends)
         P = S.dot(factor.solve(S.T).reshape(width, n))
-        active = int(np.count_nonzero(found.multipliers))
-        return Answer(steps, 0.5 * (P + P.T), found.residual, active, w)
+        active = int(np.count_nonzero(optimum.multipliers))
+        return WindowSolution(steps, 0.5 * (P + P.T), optimum.residual, active, w)
 
-    def _are_kept(self, nodes: list[Node], steps: Array, w: Array) -> bool:
-        """Whether no bound of states and disturbances is passed."""
+    def _is_feasible(self, nodes: list[Node], steps: Array, w: Array) -> bool:
+        """Return whether all bounds of states and disturbances hold."""
         for node, step in zip(nodes, steps, strict=True):
-            bounds = node.bounded
+            bounds = node.bounds
             if bounds is not None and len(bounds.values):
-                there = bounds.values + bounds.by.dot(step)
-                if (there < bounds.lower).any() or (there > bounds.upper).any():
+                values = bounds.values + bounds.slope.dot(step)
+                if (values < bounds.lower).any() or (values > bounds.upper).any():
                     return False
         which = self._is_bounded
-        pushed = w[:, which] if len(w) else w
-        return not ((pushed < self._lower[which]).any() or (pushed > self._upper[which]).any())
+        bounded = w[:, which] if len(w) else w
+        return not ((bounded < self._lower[which]).any() or (bounded > self._upper[which]).any())
 
     def _all_rows(
         self,
@@ -105,24 +110,24 @@ class HorizonProgram:
                 self._bound_noise(roots[i], ends[i], rows)
         return rows
 
-    def _root(self, going: Transition | None) -> Array:
-        assert going is not None
-        return root(going.Q)
+    def _root(self, transition: Transition | None) -> Array:
+        assert transition is not None
+        return square_root(transition.Q)
 
     def _first(self, node: Node, arrival: Arrival) -> tuple[Array, Array]:
         if arrival.P is None:
             return np.eye(self._process.n), np.zeros(self._process.n)
-        return root(arrival.P), -self._process.minus(node.x, arrival.x)
+        return square_root(arrival.P), -self._process.minus(node.x, arrival.x)
 
     def _measure(self, node: Node, S: Array, e: Array, H: Array, g: Array) -> None:
-        """Add |y - h|^2 of a node, whose step is e + S xi."""
-        assert node.seen is not None
-        told, (y, slope, R) = np.isfinite(node.values), node.seen
-        if not told.any():
+        """Add |y - h|^2 of a node, whose step is e + S xi, to the cost."""
+        assert node.observation is not None
+        measured, (y, slope, R) = np.isfinite(node.values), node.observation
+        if not measured.any():
             return
-        whiten = self._whitening.of(R, told)
-        slope = whiten.dot(slope[told])
-        error = whiten.dot(node.values[told] - y[told]) - slope.dot(e)
+        whiten = self._whitening.matrix(R, measured)
+        slope = whiten.dot(slope[measured])
+        error = whiten.dot(node.values[measured] - y[measured]) - slope.dot(e)
         rows, at = slope.dot(S), S.shape[1]
         H[:at, :at] += rows.T.dot(rows)
         g[:at] -= rows.T.dot(error)
@@ -130,22 +135,22 @@ class HorizonProgram:
     def _onward(
         self, node: Node, following: Node, S: Array, e: Array, L: Array
     ) -> tuple[Array, Array]:
-        """Step of the next node: its matrix and offset."""
-        going, process = node.going, self._process
-        assert going is not None
-        after = np.hstack((going.F.dot(S), going.G.dot(L)))
-        gap, moved = process.minus(going.x, following.x), going.F.dot(e)
-        turn = process.turned(going.x, following.x)
-        if turn is None:
-            return after, moved + gap
-        return turn.dot(after), turn.dot(moved) + gap
+        """Return matrix and offset of the step of the next node."""
+        transition, process = node.transition, self._process
+        assert transition is not None
+        matrix = np.hstack((transition.F.dot(S), transition.G.dot(L)))
+        gap, offset = process.minus(transition.x, following.x), transition.F.dot(e)
+        T = process.transport(transition.x, following.x)
+        if T is None:
+            return matrix, offset + gap
+        return T.dot(matrix), T.dot(offset) + gap
 
     @staticmethod
     def _bound_state(node: Node, S: Array, e: Array, rows: list[Rows]) -> None:
-        bounds = node.bounded
+        bounds = node.bounds
         if bounds is not None and len(bounds.values):
-            here = bounds.values + bounds.by.dot(e)
-            rows.append(Rows(bounds.by.dot(S), bounds.lower - here, bounds.upper - here))
+            values = bounds.values + bounds.slope.dot(e)
+            rows.append(Rows(bounds.slope.dot(S), bounds.lower - values, bounds.upper - values))
 
     def _bound_noise(self, L: Array, at: int, rows: list[Rows]) -> None:
         which = self._is_bounded
@@ -158,13 +163,13 @@ class HorizonProgram:
 def _motion(
     xi: Array, paths: list[tuple[Array, Array]], roots: list[Array], ends: list[int]
 ) -> tuple[Array, Array]:
-    """Steps of the nodes, and disturbances between them."""
+    """Return the steps of the nodes and the disturbances between them."""
     steps = np.array([e + S.dot(xi[: S.shape[1]]) for S, e in paths])
     w = [L.dot(xi[at : at + L.shape[1]]) for L, at in zip(roots, ends, strict=False)]
     return steps, np.array(w)
 
 
-def _stacked(rows: list[Rows], width: int) -> Rows:
+def _stack(rows: list[Rows], width: int) -> Rows:
     C = np.zeros((sum(len(block.C) for block in rows), width))
     at = 0
     for block in rows:
@@ -175,13 +180,12 @@ def _stacked(rows: list[Rows], width: int) -> Rows:
     return Rows(C, lower, np.concatenate([none, *(block.upper for block in rows)]))
 
 
-def root(P: Array) -> Array:
-    """L with L L' = P, as many columns as rows; directions without variance are 0."""
+def square_root(P: Array) -> Array:
+    """Return a square matrix L with L L' = P; directions without variance are 0."""
     factor = eigenpy.LLT(P)
     if factor.info() == eigenpy.ComputationInfo.Success:
         lower: Array = factor.matrixL()
         return np.array(lower).reshape(P.shape)
     values, vectors = np.linalg.eigh(P)
-    kept = np.maximum(values, 0.0)
-    kept[values < _FLOOR * values.max(initial=0.0)] = 0.0
-    return np.asarray(vectors * np.sqrt(kept))
+    values[values < _FLOOR * values.max(initial=0.0)] = 0.0
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -1,4 +1,4 @@
-"""The Kalman filter and smoother on the manifold of consistent states."""
+"""Kalman filter and Rauch-Tung-Striebel smoother on the manifold of consistent states."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import eigenpy
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.methods.estimation.kalman_update import Update, updated
+from mbd_ros.methods.estimation.kalman_update import Update, compute_update
 from mbd_ros.methods.estimation.process import (
     Belief,
     Estimator,
@@ -17,151 +17,159 @@ from mbd_ros.methods.estimation.process import (
     Observation,
     Process,
     Transition,
-    moved,
+    transport_covariance,
 )
 
-_JITTER = 1.0e-14  # of the largest variance, for covariances of what is known exactly
+_JITTER = 1.0e-14  # relative to the largest variance, where some variances are 0
 
 
 class KalmanFilter(Estimator):
-    """x goes on as the process does; its covariance by F P F' + G Q G', then `kalman_update`.
+    """Extended Kalman filter: prediction with P <- F P F' + G Q G', correction by `kalman_update`.
 
-    Corrections are steps of the tangent, so that couplings and loops stay closed; P lies in it.
-    With `iterations` the measurement is linearised again about what it says: Gauss and Newton's
-    method for the maximum of the posterior. Source: B. M. Bell, F. W. Cathey, IEEE Trans. Autom.
-    Control 38(2) (1993).
+    Corrections are tangent steps, so couplings and loops stay closed, and P is a covariance in the
+    tangent. With several iterations the measurement is linearised again about the corrected state,
+    which is the Gauss-Newton method for the maximum of the posterior. Source: B. M. Bell,
+    F. W. Cathey, IEEE Trans. Autom. Control 38(2) (1993).
 
     Args:
-        iterations: Linearisations a measurement.
+        iterations: Number of linearisations for each measurement.
 
     Attributes:
-        going: The interval that was predicted last; None before the first one.
-        predicted: What was believed at its end, before the measurement.
+        transition: The newest predicted interval; None before the first one.
+        predicted: Belief at its end, before the measurement.
     """
 
     def __init__(self, process: Process, iterations: int = 1) -> None:
         super().__init__(process)
         self.iterations = iterations
         self._u: Array | None = None
-        self.going: Transition | None = None
+        self.transition: Transition | None = None
 
     def predict(self, u: Array | None, t: float) -> Belief:
-        """As `Estimator.predict`."""
-        going = self.process.advance(self.belief.x, u, t)
-        P = going.F.dot(self.belief.P).dot(going.F.T) + going.noise
-        self.going, self._u = going, u
-        self.belief = self.predicted = self.belief._replace(t=t, x=going.x, P=0.5 * (P + P.T))
+        """Predict state and covariance at a later time, see `Estimator.predict`."""
+        transition = self.process.advance(self.belief.x, u, t)
+        P = transition.F.dot(self.belief.P).dot(transition.F.T) + transition.noise
+        self.transition = transition
+        self._u = u
+        self.predicted = self.belief._replace(t=t, x=transition.x, P=0.5 * (P + P.T))
+        self.belief = self.predicted
         return self.belief
 
-    def correct(self, measurement: Measurement, seen: Observation | None = None) -> Belief:
-        """As `Estimator.correct`."""
+    def correct(self, measurement: Measurement, observation: Observation | None = None) -> Belief:
+        """Correct the belief by a measurement, see `Estimator.correct`."""
         process, prior = self.process, self.belief
-        x, found, first = prior.x, None, None
+        x, update, innovation = prior.x, None, None
         for _ in range(self.iterations):
-            here = seen if seen is not None and x is prior.x else process.observe(x, self._u)
-            found = self._update(x, measurement, here)
-            first = found.innovation if first is None else first
-            x = process.plus(prior.x, found.step)
-        assert found is not None
-        P = moved(process, found.P, prior.x, x)
-        self.belief = prior._replace(x=x, P=P, innovation=first)
+            if observation is None or x is not prior.x:
+                expected = process.observe(x, self._u)
+            else:
+                expected = observation
+            update = self._update(x, measurement, expected)
+            innovation = update.innovation if innovation is None else innovation
+            x = process.plus(prior.x, update.step)
+        assert update is not None
+        P = transport_covariance(process, update.P, prior.x, x)
+        self.belief = prior._replace(x=x, P=P, innovation=innovation)
         return self.belief
 
     def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
-        """As `Estimator.begin`."""
-        self._u = self.going = None
+        """Begin with a prior, see `Estimator.begin`."""
+        self._u = self.transition = None
         self.predicted = super().begin(x, P, t)
         return self.predicted
 
     @property
-    def sample(self) -> Filtered:
-        """The newest sample, for smoothers."""
-        F = None if self.going is None else self.going.F
-        return Filtered(F, self.predicted, self.belief)
+    def sample(self) -> FilterSample:
+        """The newest sample, as the smoothers take it."""
+        F = None if self.transition is None else self.transition.F
+        return FilterSample(F, self.predicted, self.belief)
 
-    def remember(self) -> Any:
-        """As `Estimator.remember`."""
+    def checkpoint(self) -> Any:
+        """Return the belief and the inputs of the newest sample."""
         return self.belief, self._u
 
-    def recall(self, memory: Any) -> None:
-        """As `Estimator.recall`."""
-        self.belief, self._u = memory
+    def restore(self, checkpoint: Any) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        self.belief, self._u = checkpoint
 
-    def _update(self, x: Any, measurement: Measurement, seen: Observation) -> Update:
-        """The update of the prior by a measurement that is linearised at x."""
+    def _update(self, x: Any, measurement: Measurement, expected: Observation) -> Update:
+        """Update the prior by a measurement that is linearised at x."""
         prior = self.belief
-        error = measurement.values - seen.y
+        error = measurement.values - expected.y
         if x is not prior.x:
-            error = error + seen.H.dot(self.process.minus(x, prior.x))
-        return updated(prior.P, seen.H, seen.R, error, measurement.used)
+            error = error + expected.H.dot(self.process.minus(x, prior.x))
+        return compute_update(prior.P, expected.H, expected.R, error, measurement.used)
 
 
-def smoothed(process: Process, samples: Sequence[Filtered]) -> list[Belief]:
-    """Estimates by all measurements, one a sample: the Rauch-Tung-Striebel smoother.
+def smooth(process: Process, samples: Sequence[FilterSample]) -> list[Belief]:
+    """Return an estimate for each sample from all measurements (Rauch-Tung-Striebel smoother).
 
         C = P F' P-^-1,   d_k = C (x_k+1 (-) x-_k+1),   P_k = P + C (P_k+1 - P-) C'
 
     Source: H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3(8) (1965).
 
     Args:
-        process: What was filtered.
-        samples: In the order of time. Where F is None the filter began anew: nothing that comes
-            later says anything on what was before.
+        process: Process of the filter.
+        samples: Samples of the filter in the order of time. Where F is None the filter restarted,
+            so later measurements do not affect earlier estimates.
     """
     if not samples:
         return []
     after = samples[-1].belief
-    found = [after]
+    beliefs = [after]
     for now, following in zip(samples[-2::-1], samples[:0:-1], strict=True):
         if following.F is None:
             after = now.belief
         else:
-            after = _one_back(process, now.belief, following, after)
-        found.append(after)
-    return found[::-1]
+            after = _smooth_step(process, now.belief, following, after)
+        beliefs.append(after)
+    return beliefs[::-1]
 
 
-def _one_back(process: Process, now: Belief, following: Filtered, after: Belief) -> Belief:
+def _smooth_step(process: Process, now: Belief, following: FilterSample, after: Belief) -> Belief:
+    """Return the smoothed belief of a sample from that of the following one."""
     predicted, F = following.predicted, following.F
     assert F is not None
-    gain = _solved(predicted.P, F.dot(now.P)).T
+    gain = _solve(predicted.P, F.dot(now.P)).T
     step = gain.dot(process.minus(after.x, predicted.x))
     x = process.plus(now.x, step)
-    there = moved(process, after.P, after.x, predicted.x)
-    P = now.P + gain.dot(there - predicted.P).dot(gain.T)
-    return now._replace(x=x, P=moved(process, 0.5 * (P + P.T), now.x, x))
+    after_P = transport_covariance(process, after.P, after.x, predicted.x)
+    P = now.P + gain.dot(after_P - predicted.P).dot(gain.T)
+    return now._replace(x=x, P=transport_covariance(process, 0.5 * (P + P.T), now.x, x))
 
 
-def _solved(P: Array, right: Array) -> Array:
+def _solve(P: Array, right: Array) -> Array:
+    """Solve P X = right; variances that are 0 get a small value first."""
     factor = eigenpy.LLT(P)
     if factor.info() != eigenpy.ComputationInfo.Success:
         factor = eigenpy.LLT(P + _JITTER * P.diagonal().max() * np.eye(len(P)))
-    solved: Array = factor.solve(right).reshape(right.shape)
-    return solved
+    solution: Array = factor.solve(right).reshape(right.shape)
+    return solution
 
 
-def lagged(process: Process, samples: Sequence[Filtered], lag: float) -> list[Belief]:
-    """Estimates by the measurements until a time after each of them, one a sample.
+def smooth_with_lag(process: Process, samples: Sequence[FilterSample], lag: float) -> list[Belief]:
+    """Return an estimate for each sample from all measurements until a time after it.
 
     Args:
-        process: What was filtered.
-        samples: As for `smoothed`.
-        lag: The time [s].
+        process: Process of the filter.
+        samples: Samples of the filter in the order of time, see `smooth`.
+        lag: Time after each sample until which measurements count [s].
     """
-    found, end = list[Belief](), 0
+    beliefs, end = list[Belief](), 0
     for i, sample in enumerate(samples):
         while end < len(samples) and samples[end].belief.t <= sample.belief.t + lag:
             end += 1
-        found.append(smoothed(process, samples[i : max(end, i + 1)])[0])
-    return found
+        beliefs.append(smooth(process, samples[i : max(end, i + 1)])[0])
+    return beliefs
 
 
-class Filtered(NamedTuple):
+class FilterSample(NamedTuple):
     """One sample of a filter.
 
     Attributes:
-        F: Derivative of `predicted` by the estimate of the sample before; None for the first one.
-        predicted: Before the measurement.
+        F: Derivative of `predicted` with respect to the previous estimate; None for the first one.
+        predicted: Belief before the measurement.
+        belief: Belief after the measurement.
     """
 
     F: Array | None

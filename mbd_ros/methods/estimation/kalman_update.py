@@ -1,10 +1,10 @@
-"""What a measurement says about a Gaussian belief.
+"""Measurement update of a Gaussian belief.
 
     S = H P H' + R,   K = P H' S^-1,   d = K e,   P+ = (1 - K H) P (1 - K H)' + K R K'
 
-d is a step in the tangent of the manifold at the predicted state x-: the corrected state is x+ =
-x- (+) d. The residual e is y - h(x-), and where the update is iterated about a state x_i, e = y -
-h(x_i) + H (x_i (-) x-). `KalmanFilter.correct` takes these steps. Source: B. D. O. Anderson, J. B.
+d is a tangent step at the predicted state x-, so the corrected state is x+ = x- (+) d. The
+residual is e = y - h(x-); where the update is iterated about a state x_i, it is e = y - h(x_i) +
+H (x_i (-) x-). `KalmanFilter.correct` takes these steps. Source: B. D. O. Anderson, J. B.
 Moore, Optimal Filtering, 1979, ch. 3; P. D. Joseph's form keeps P symmetric and positive, R. S.
 Bucy, P. D. Joseph, 1968.
 """
@@ -22,14 +22,14 @@ Bools = NDArray[np.bool_]
 
 
 class Innovation(NamedTuple):
-    """How far a measurement was from its prediction.
+    """Difference between a measurement and its prediction.
 
     Attributes:
-        values: Measured less predicted, NaN where nothing was measured, shape (m,).
-        covariance: Expected of them, shape (m, m); of what was not measured, too.
-        used: Which of them counted, shape (m,).
-        squared: values' covariance^-1 values over what counted: chi-squared distributed with as
-            many degrees of freedom where the model is right.
+        values: Measured minus predicted values, NaN where nothing was measured, shape (m,).
+        covariance: Expected covariance of all values, measured or not, shape (m, m).
+        used: Which values the update used, shape (m,).
+        squared: values' covariance^-1 values of the used ones. If the model is right, it has a
+            chi-squared distribution with `freedom` degrees of freedom.
     """
 
     values: Array
@@ -39,23 +39,23 @@ class Innovation(NamedTuple):
 
     @property
     def freedom(self) -> int:
-        """How many numbers counted."""
+        """Number of values that the update used."""
         return int(np.count_nonzero(self.used))
 
     @property
     def normalized(self) -> Array:
-        """Values over their expected deviation, NaN where nothing was measured, shape (m,)."""
+        """Values over their expected standard deviation, NaN where not measured, shape (m,)."""
         deviation = np.sqrt(self.covariance.diagonal())
         return np.asarray(self.values / deviation, dtype=np.float64)
 
 
 class Update(NamedTuple):
-    """What a measurement changes.
+    """Correction of a belief by a measurement.
 
     Attributes:
-        step: In the tangent, shape (n,).
-        P: Covariance afterwards, shape (n, n).
-        innovation: What it was found from.
+        step: Tangent step of the state, shape (n,).
+        P: Covariance after the measurement, shape (n, n).
+        innovation: Innovation of the measurement.
     """
 
     step: Array
@@ -63,21 +63,21 @@ class Update(NamedTuple):
     innovation: Innovation
 
 
-def updated(
+def compute_update(
     P: Array,
     H: Array,
     R: Array,
     error: Array,
     used: Bools | None = None,
 ) -> Update:
-    """The step and the covariance after a measurement.
+    """Compute the state step and the covariance after a measurement.
 
     Args:
-        P: Covariance before it, shape (n, n).
-        H: Derivative of the measurement, shape (m, n).
-        R: Covariance of its noise, shape (m, m).
-        error: Measured less predicted, NaN where nothing was measured, shape (m,).
-        used: Which numbers may count, shape (m,); all by default.
+        P: Covariance before the measurement, shape (n, n).
+        H: Derivative of the measurement with respect to a tangent step, shape (m, n).
+        R: Covariance of the measurement noise, shape (m, m).
+        error: Measured minus predicted values, NaN where nothing was measured, shape (m,).
+        used: Which values the update may use, shape (m,); all by default.
 
     Raises:
         SolveError: S is not positive definite.
@@ -93,11 +93,11 @@ def updated(
     factor = eigenpy.LLT(S)
     if factor.info() != eigenpy.ComputationInfo.Success:
         raise SolveError(
-            "the covariance of the innovation is not positive definite: give sensors noise > 0"
+            "the covariance of the innovation is not positive definite; give sensors a noise > 0"
         )
     K = factor.solve(rows.dot(P)).reshape(len(e), -1).T
-    rest = np.eye(len(P)) - K.dot(rows)
-    after = rest.dot(P).dot(rest.T) + K.dot(noise).dot(K.T)
+    reduction = np.eye(len(P)) - K.dot(rows)
+    after = reduction.dot(P).dot(reduction.T) + K.dot(noise).dot(K.T)
     squared = float(e.dot(factor.solve(e).ravel()))
     innovation = Innovation(error, expected, counts, squared)
     return Update(K.dot(e), 0.5 * (after + after.T), innovation)

@@ -1,9 +1,10 @@
-"""What estimators are and know: a process, its sensors, what is believed of it.
+"""Contracts of estimation: processes, their sensors, estimators and beliefs.
 
     x_k+1 = f(x_k, u_k) (+) G w_k,   y_k = h(x_k) + n_k
 
-Processes are mechanisms (`mechanism_process`) or matrices (`LinearProcess`). x is whatever the
-process takes for a state; steps d of the tangent are vectors.
+A process is a mechanism (`features.estimation.mechanism_process`) or a set of matrices
+(`LinearProcess`). A state x can be of any type that its process defines; tangent steps d are
+vectors.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.methods.estimation.kalman_update import Bools, Innovation, updated
+from mbd_ros.methods.estimation.kalman_update import Bools, Innovation, compute_update
 from mbd_ros.methods.estimation.state_tangent import StateTangent
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 
-_ASYMMETRY = 1.0e-12  # of a covariance, relative
-_STEP = 1.0e-6  # of differences [m, rad and their rates]
+_ASYMMETRY = 1.0e-12  # accepted asymmetry of a covariance, relative to its largest entry
+_STEP = 1.0e-6  # for finite differences [m, rad and their rates]
 
 
 class Process(Protocol):
-    """A process in time.
+    """Discrete-time process with disturbances and measurements.
 
     Attributes:
-        n: Size of a step of its tangent.
-        nw: Size of a disturbance.
-        sizes: Steps of the tangent that count as one where it is linearised, inf where it is
-            linear, shape (n,).
+        n: Dimension of a tangent step.
+        nw: Dimension of a disturbance.
+        sizes: Tangent steps beyond which a linearisation is no longer accurate, inf where the
+            process is linear, shape (n,).
     """
 
     n: int
@@ -42,53 +43,48 @@ class Process(Protocol):
     sizes: Array
 
     def advance(self, x: Any, u: Array | None, t: float) -> Transition:
-        """From a state to a later time [s], under inputs that are held."""
+        """Advance a state to a later time [s] under constant inputs."""
 
     def observe(self, x: Any, u: Array | None) -> Observation:
-        """What all sensors should see."""
+        """Return the expected values of all sensors at a state."""
 
     def plus(self, x: Any, d: Array) -> Any:
-        """The state x (+) d."""
+        """Return the state x (+) d."""
 
     def minus(self, x1: Any, x0: Any) -> Array:
-        """The d with x0 (+) d = x1, shape (n,)."""
+        """Return the step d with x0 (+) d = x1, shape (n,)."""
 
-    def near(self, x: Any, values: Array, P: Array) -> Any:
-        """The state that fits a measurement, on the way from x; P says what goes easily."""
+    def fit_state(self, x: Any, values: Array, P: Array) -> Any:
+        """Return the state nearest to x, in the metric P^-1, that fits measured values."""
 
     def at_rest(self, x: Any, t: float) -> Any:
-        """The configuration at another time [s], at rest: nobody knows how it came there."""
+        """Return the configuration of a state at another time [s], with zero velocities."""
 
-    def unforeseen(self, acceleration: float, dt: float) -> Array:
-        """Variance that accelerations nobody foresees bring within a time [s], shape (n,)."""
+    def unmodelled_variance(self, acceleration: float, dt: float) -> Array:
+        """Return the variance that unknown accelerations cause within a time [s], shape (n,)."""
 
-    def turned(self, x0: Any, x1: Any) -> Array | None:
-        """From steps at x0 to the same steps at a state beside it, (n, n); None for unity."""
+    def transport(self, x0: Any, x1: Any) -> Array | None:
+        """Return the matrix from steps at x0 to steps at x1 nearby, (n, n); None for identity."""
 
-    def bounded(self, x: Any) -> Bounded:
-        """What has bounds at a state."""
+    def bounds(self, x: Any) -> StateBounds:
+        """Return the bounded quantities at a state."""
 
 
 class LinearProcess:
-    """A process of matrices: x_k+1 = A x_k + B u_k + G w_k, y_k = C x_k + n_k.
+    """Linear process x_k+1 = A x_k + B u_k + G w_k with measurements y_k = C x_k + n_k.
 
     Args:
-        A: Shape (n, n).
-        C: Shape (m, n).
-        Q: Covariance of w, shape (nw, nw).
-        R: Covariance of the noise, shape (m, m).
-        G: Shape (n, nw); unity by default.
-        B: Shape (n, nu); no inputs by default.
-        lower: Bounds of x, shape (n,), -inf without; none by default.
-        upper: Bounds of x, shape (n,), inf without; none by default.
-
-    Attributes:
-        n: Size of x.
-        nw: Size of w.
-        sizes: Inf: it is linear.
+        A: State matrix, shape (n, n).
+        C: Measurement matrix, shape (m, n).
+        Q: Covariance of the disturbance w, shape (nw, nw).
+        R: Covariance of the measurement noise, shape (m, m).
+        G: Disturbance matrix, shape (n, nw); identity by default.
+        B: Input matrix, shape (n, nu); no inputs by default.
+        lower: Lower bounds of x, -inf for none, shape (n,); unbounded by default.
+        upper: Upper bounds of x, inf for none, shape (n,); unbounded by default.
 
     Raises:
-        ModelError: Shapes that do not fit, or a covariance that is none; names the matrix.
+        ModelError: Shapes do not fit, or Q or R is not a covariance.
     """
 
     def __init__(
@@ -108,7 +104,8 @@ class LinearProcess:
         self.n = len(self.A)
         self.G = np.eye(self.n) if G is None else np.asarray(G, float).reshape(self.n, -1)
         self.B = None if B is None else np.asarray(B, float).reshape(self.n, -1)
-        self.nw, self.sizes = self.G.shape[1], np.full(self.n, np.inf)
+        self.nw = self.G.shape[1]
+        self.sizes = np.full(self.n, np.inf)  # the process is linear
         shapes = {
             "A": (self.A, (self.n, self.n)),
             "C": (self.C, (len(self.C), self.n)),
@@ -117,9 +114,9 @@ class LinearProcess:
         }
         for name, (matrix, shape) in shapes.items():
             if matrix.shape != shape:
-                raise ModelError(f"{name} has shape {matrix.shape}, accepted: {shape}")
+                raise ModelError(f"{name} has shape {matrix.shape}, but must have shape {shape}")
         for name in ("Q", "R"):
-            refuse_no_covariance(name, shapes[name][0])
+            check_covariance(name, shapes[name][0])
         none = np.full(self.n, np.inf)
         low = -none if lower is None else np.asarray(lower, float)
         high = none if upper is None else np.asarray(upper, float)
@@ -128,49 +125,49 @@ class LinearProcess:
         self._bounds = low[self._has_bound], high[self._has_bound]
 
     def advance(self, x: Array, u: Array | None, t: float) -> Transition:
-        """As `Process.advance`; the interval is the one that the matrices were made for."""
+        """Return A x + B u; t is ignored, since the matrices belong to a fixed interval."""
         after = self.A.dot(x)
         if self.B is not None and u is not None:
             after += self.B.dot(u)
         return Transition(after, self.A, self.G, self.Q)
 
     def observe(self, x: Array, u: Array | None) -> Observation:
-        """As `Process.observe`."""
+        """Return C x with its derivative and the noise."""
         return Observation(self.C.dot(x), self.C, self.R)
 
     def plus(self, x: Array, d: Array) -> Array:
-        """As `Process.plus`."""
+        """Return x + d."""
         return x + d
 
     def minus(self, x1: Array, x0: Array) -> Array:
-        """As `Process.minus`."""
+        """Return x1 - x0."""
         return x1 - x0
 
-    def near(self, x: Array, values: Array, P: Array) -> Array:
-        """As `Process.near`."""
-        return x + updated(P, self.C, self.R, values - self.C.dot(x)).step
+    def fit_state(self, x: Array, values: Array, P: Array) -> Array:
+        """Return the least-squares fit to a measurement, weighted by P and R."""
+        return x + compute_update(P, self.C, self.R, values - self.C.dot(x)).step
 
     def at_rest(self, x: Array, t: float) -> Array:
-        """As `Process.at_rest`."""
+        """Return x, which has no velocities."""
         return x
 
-    def unforeseen(self, acceleration: float, dt: float) -> Array:
-        """As `Process.unforeseen`: nobody says what an acceleration is here."""
+    def unmodelled_variance(self, acceleration: float, dt: float) -> Array:
+        """Return zeros, since a linear process does not define accelerations."""
         return np.zeros(self.n)
 
-    def turned(self, x0: Array, x1: Array) -> None:
-        """As `Process.turned`: the same everywhere."""
+    def transport(self, x0: Array, x1: Array) -> None:
+        """Return None, since the tangent is the same everywhere."""
 
-    def bounded(self, x: Array) -> Bounded:
-        """As `Process.bounded`."""
-        return Bounded(x[self._has_bound], self._selected, *self._bounds)
+    def bounds(self, x: Array) -> StateBounds:
+        """Return the bounded entries of x."""
+        return StateBounds(x[self._has_bound], self._selected, *self._bounds)
 
 
-def refuse_no_covariance(name: str, matrix: Array) -> None:
-    """Refuse what is no covariance.
+def check_covariance(name: str, matrix: Array) -> None:
+    """Check that a matrix is a covariance: finite, symmetric and positive semidefinite.
 
     Raises:
-        ModelError: Names the matrix and the condition.
+        ModelError: It is not; the message names the matrix and the condition.
     """
     if not np.isfinite(matrix).all():
         raise ModelError(f"{name} is not finite")
@@ -182,12 +179,12 @@ def refuse_no_covariance(name: str, matrix: Array) -> None:
 
 
 class Transition(NamedTuple):
-    """One interval of a process.
+    """One interval of a process, linearised.
 
     Attributes:
-        x: State at its end, without disturbance.
-        F: Derivative of it by the state at the start, shape (n, n), both in their tangents.
-        G: Derivative of it by the disturbance w, shape (n, nw).
+        x: State at the end, without disturbance.
+        F: Derivative of x with respect to the state at the start, in their tangents, shape (n, n).
+        G: Derivative of x with respect to the disturbance w, shape (n, nw).
         Q: Covariance of w, shape (nw, nw).
     """
 
@@ -198,16 +195,16 @@ class Transition(NamedTuple):
 
     @property
     def noise(self) -> Array:
-        """Covariance that the interval adds, shape (n, n)."""
+        """Covariance G Q G' that the interval adds, shape (n, n)."""
         return self.G.dot(self.Q).dot(self.G.T)
 
 
 class Observation(NamedTuple):
-    """What should be measured at a state.
+    """Expected measurement at a state, linearised.
 
     Attributes:
-        y: Without noise, shape (m,).
-        H: Derivative by a step of the tangent, shape (m, n).
+        y: Expected values without noise, shape (m,).
+        H: Derivative of y with respect to a tangent step, shape (m, n).
         R: Covariance of the noise, shape (m, m).
     """
 
@@ -216,31 +213,32 @@ class Observation(NamedTuple):
     R: Array
 
 
-class Bounded(NamedTuple):
-    """What has bounds at a state.
+class StateBounds(NamedTuple):
+    """Bounded quantities at a state, linearised.
 
     Attributes:
-        values: Shape (b,).
-        by: Derivative by a step of the tangent, shape (b, n).
-        lower: Smallest accepted values, shape (b,).
-        upper: Largest accepted values, shape (b,).
-        may_be_wrong: Which bounds give way to measurements that contradict them beyond doubt,
-            shape (b,); None for none.
+        values: Their values, shape (b,).
+        slope: Derivative of the values with respect to a tangent step, shape (b, n).
+        lower: Lower bounds, shape (b,).
+        upper: Upper bounds, shape (b,).
+        can_be_released: Which bounds may be dropped if measurements clearly contradict them, shape
+            (b,); None for none.
     """
 
     values: Array
-    by: Array
+    slope: Array
     lower: Array
     upper: Array
-    may_be_wrong: Bools | None = None
+    can_be_released: Bools | None = None
 
 
 class Estimator:
-    """Follows a process by measurements: `begin`, then `predict` and `correct` in turn.
+    """Estimates the state of a process: call `begin`, then `predict` and `correct` in turn.
 
     Attributes:
-        belief: The newest one.
-        is_late: Whether there is no time for more than the least; who asks sets it.
+        belief: Newest belief.
+        is_late: Whether the next correction should take as little time as possible; the caller
+            sets it.
     """
 
     belief: Belief
@@ -254,51 +252,56 @@ class Estimator:
 
         Args:
             x: State of the process.
-            P: Its covariance, shape (n, n).
+            P: Covariance of the state, shape (n, n).
             t: Time [s].
 
         Raises:
-            ModelError: P is no covariance of that size.
+            ModelError: P is not a covariance of shape (n, n).
         """
         n = self.process.n
         if np.shape(P) != (n, n):
-            raise ModelError(f"P has shape {np.shape(P)}, accepted: {(n, n)}")
-        refuse_no_covariance("P", np.asarray(P))
+            raise ModelError(f"P has shape {np.shape(P)}, but must have shape {(n, n)}")
+        check_covariance("P", np.asarray(P))
         self.belief = Belief(t, x, np.array(P, dtype=np.float64))
         return self.belief
 
     def predict(self, u: Array | None, t: float) -> Belief:
-        """Go to a later time [s] under inputs that were held since the last one, (nu,) or None."""
-        raise NotImplementedError
-
-    def correct(self, measurement: Measurement, seen: Observation | None = None) -> Belief:
-        """Take what was measured at the time of the newest belief.
+        """Predict the belief at a later time.
 
         Args:
-            measurement: What was measured.
-            seen: What should be seen there, where that is known already.
+            u: Inputs since the last belief, shape (nu,); None without inputs.
+            t: Time [s].
         """
         raise NotImplementedError
 
-    def remember(self) -> Any:
-        """All that later answers depend on, as a value for `recall`."""
+    def correct(self, measurement: Measurement, observation: Observation | None = None) -> Belief:
+        """Correct the newest belief by a measurement at its time.
+
+        Args:
+            measurement: The measurement.
+            observation: Expected measurement at the newest belief; None to compute it.
+        """
+        raise NotImplementedError
+
+    def checkpoint(self) -> Any:
+        """Return everything on which later results depend."""
         return self.belief
 
-    def recall(self, memory: Any) -> None:
-        """Go back to what `remember` gave."""
-        self.belief = memory
+    def restore(self, checkpoint: Any) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        self.belief = checkpoint
 
 
 class Belief(NamedTuple):
-    """What an estimator believes.
+    """Estimated state with its covariance.
 
     Attributes:
         t: Time [s].
-        x: State of the process.
-        P: Covariance of the step of its tangent from x to the true state, shape (n, n).
-        innovation: Of the newest measurement; None before the first one.
-        is_trusted: Whether the estimator stands by it; why not is in `remark`.
-        remark: Empty while it is trusted.
+        x: Estimated state of the process.
+        P: Covariance of the tangent step from x to the true state, shape (n, n).
+        innovation: Innovation of the newest measurement; None before the first one.
+        is_trusted: Whether the estimate is reliable.
+        remark: Reason why it is not reliable, empty if it is.
     """
 
     t: float
@@ -310,12 +313,12 @@ class Belief(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """What sensors said at one time.
+    """Measured values of all sensors at one time.
 
     Attributes:
         t: Time [s].
-        values: Of all sensors of the process, NaN where nothing came, shape (m,).
-        used: Which of them count, shape (m,); None for all that are finite.
+        values: Values of all sensors of the process, NaN where not measured, shape (m,).
+        used: Which values an estimator may use, shape (m,); None for all finite ones.
     """
 
     t: float
@@ -324,16 +327,16 @@ class Measurement(NamedTuple):
 
 
 class SensorSet:
-    """Sensors of a mechanism, one below the other.
+    """Stacked measurements of the sensors of a mechanism.
 
     Args:
-        evaluate: As that of the system, which it is by default; what depends on accelerations
-            asks it.
+        evaluate: Function that evaluates accelerations and multipliers for sensors that depend on
+            them; `System.evaluate` by default.
 
     Attributes:
-        m: Numbers in all.
-        slices: Where each stands.
-        names: `<sensor>`, or `<sensor>.<component>`, in the same order.
+        m: Number of measured values of all sensors.
+        slices: Slice of each sensor in the stacked values.
+        names: `<sensor>`, or `<sensor>.<component>`, of each value.
     """
 
     def __init__(
@@ -348,49 +351,49 @@ class SensorSet:
         self.m = ends[-1]
         self.slices = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.names = tuple(
-            ".".join(filter(None, (sensor.name, one)))
+            ".".join(filter(None, (sensor.name, component)))
             for sensor in sensors
-            for one in sensor.components
+            for component in sensor.components
         )
-        self._reads = max((_asked(sensor) for sensor in sensors), default=Reads.NOTHING)
+        self._reads = max((_reads(sensor) for sensor in sensors), default=Reads.NOTHING)
         self._needs_forces = any(s.level >= Measures.ACCELERATION for s in sensors)
-        feels = any(s.level >= Measures.FORCE for s in sensors)
-        self._felt = FeltReactions(system) if feels else None
+        has_force_sensors = any(s.level >= Measures.FORCE for s in sensors)
+        self._reactions = SystemReactions(system) if has_force_sensors else None
         self._noise_varies = any(s.noise_varies for s in sensors)
         self._R: Array | None = None
         nv = int(system.robot.model.nv)
         self._by_q, self._by_v = np.zeros((2, self.m, nv))
         each = zip(self.sensors, self.slices, strict=True)
-        self._turning = [(s, mine) for s, mine in each if not s.is_linear]
+        self._nonlinear = [(s, mine) for s, mine in each if not s.is_linear]
         self._is_filled, nz = False, system.internals.nz
-        self._same: Array | None = None  # the derivative, where it is the same everywhere
+        self._constant_H: Array | None = None  # the derivative, if it is the same everywhere
         self._by_z, self._is_offset = np.zeros((self.m, nz)), False
         for sensor, mine in zip(self.sensors, self.slices, strict=True):
             slope = sensor.by_internal(nz)
             if slope is not None:
                 self._by_z[mine], self._is_offset = slope, True
         each = zip(self.sensors, self.slices, strict=True)
-        self._winding = [(s, mine) for s, mine in each if type(s).near is not Sensor.near]
+        self._periodic = [(s, mine) for s, mine in each if type(s).near is not Sensor.near]
 
     def near(self, values: Array, expected: Array) -> Array:
-        """What was measured, written as near to what is expected as it can be, shape (m,)."""
-        if not self._winding:
+        """Return measured values with angles unwrapped next to the expected ones, shape (m,)."""
+        if not self._periodic:
             return values
-        found = values.copy()
-        for sensor, mine in self._winding:
-            found[mine] = sensor.near(values[mine], expected[mine])
-        return found
+        unwrapped = values.copy()
+        for sensor, mine in self._periodic:
+            unwrapped[mine] = sensor.near(values[mine], expected[mine])
+        return unwrapped
 
     def values(self, y: State, u: Array | None) -> Array:
-        """What they should see, shape (m,)."""
-        return self._measured(y, u)[1]
+        """Return the expected values of all sensors, shape (m,)."""
+        return self._expected(y, u)[1]
 
     def covariance(self, y: State) -> Array:
-        """Of the noise, shape (m, m), not to be written to.
+        """Return the covariance of the noise as a read-only array, shape (m, m).
 
         Raises:
-            ModelError: A sensor without noise; names it.
-            SolveError: A state at which it is not finite.
+            ModelError: A sensor has no noise.
+            SolveError: The covariance is not finite at this state.
         """
         if self._R is not None and not self._noise_varies:
             return self._R
@@ -402,22 +405,20 @@ class SensorSet:
             if not np.isfinite(R[mine, mine]).all():
                 raise SolveError(f"sensor {sensor.name}: the estimated state is not finite")
             if not (R[mine, mine].diagonal() > 0.0).all():
-                raise ModelError(
-                    f"sensor {sensor.name}: an estimator needs its noise, accepted: > 0"
-                )
+                raise ModelError(f"sensor {sensor.name}: its noise must be > 0 for an estimator")
         self._R = R
         return R
 
     def observe(self, y: State, u: Array | None, tangent: StateTangent) -> Observation:
-        """What they should see, and its derivative by steps of the tangent."""
+        """Return the expected values and their derivative with respect to tangent steps."""
         R = self.covariance(y)
-        x, here = self._measured(y, u)
-        if self._same is not None:
-            return Observation(here, self._same, R)
+        x, expected = self._expected(y, u)
+        if self._constant_H is not None:
+            return Observation(expected, self._constant_H, R)
         if not self._is_filled:
             self._fill(x)
         k, differ = self._system.k, list[int]()
-        for sensor, mine in self._turning:
+        for sensor, mine in self._nonlinear:
             if sensor.level is Measures.POSITION:
                 self._by_q[mine] = sensor.jacobian(k, x)
                 continue
@@ -426,18 +427,19 @@ class SensorSet:
                 differ.extend(range(mine.start, mine.stop))
             else:
                 self._by_q[mine], self._by_v[mine] = by_q, sensor.jacobian(k, x)
-        nv, lift = self._by_q.shape[1], tangent.of_all_joints(y)
+        nv, lift = self._by_q.shape[1], tangent.lift_to_joints(y)
         H = self._by_q.dot(lift[:nv]) + self._by_v.dot(lift[nv:])
         if self._is_offset:
             H[:, tangent.n - self._by_z.shape[1] :] += self._by_z
         if differ:
-            H[differ] = self._differences(y, u, here, tangent)[differ]
-        if tangent.is_whole and tangent.n == 2 * nv + self._by_z.shape[1] and not self._turning:
-            self._same = H
-        return Observation(here, H, R)
+            H[differ] = self._differences(y, u, expected, tangent)[differ]
+        is_full = tangent.is_unconstrained and tangent.n == 2 * nv + self._by_z.shape[1]
+        if is_full and not self._nonlinear:
+            self._constant_H = H
+        return Observation(expected, H, R)
 
     def _fill(self, x: State) -> None:
-        """The rows that never change."""
+        """Fill the constant rows of the derivative."""
         self._is_filled = True
         for sensor, mine in zip(self.sensors, self.slices, strict=True):
             if sensor.is_linear and sensor.level is Measures.POSITION:
@@ -447,34 +449,36 @@ class SensorSet:
                 self._by_q[mine] = 0.0 if by_q is None else by_q
                 self._by_v[mine] = sensor.jacobian(self._system.k, x)
 
-    def _differences(self, y: State, u: Array | None, here: Array, tangent: StateTangent) -> Array:
-        found, step = np.zeros((self.m, tangent.n)), np.zeros(tangent.n)
+    def _differences(
+        self, y: State, u: Array | None, expected: Array, tangent: StateTangent
+    ) -> Array:
+        H, step = np.zeros((self.m, tangent.n)), np.zeros(tangent.n)
         for i in range(tangent.n):
             step[i] = _STEP
-            found[:, i] = (self.values(tangent.plus(y, step), u) - here) / _STEP
+            H[:, i] = (self.values(tangent.plus(y, step), u) - expected) / _STEP
             step[i] = 0.0
-        return found
+        return H
 
-    def _measured(self, y: State, u: Array | None) -> tuple[State, Array]:
-        """State of all joints, and what the sensors should see there."""
+    def _expected(self, y: State, u: Array | None) -> tuple[State, Array]:
+        """Return the state of all joints and the expected values of the sensors there."""
         system, now = self._system, None
         x, k = system.expand(y), system.k
         if self._needs_forces:
-            found = self._evaluate(x, u)
-            felt = self._felt
-            reactions = None if felt is None else felt.at(x, u, found.a, found.lam)
-            now = Now(found.a, found.lam, reactions)
+            evaluation = self._evaluate(x, u)
+            a, lam = evaluation.a, evaluation.lam
+            reactions = None if self._reactions is None else self._reactions.at(x, u, a, lam)
+            now = Now(a, lam, reactions)
         k.refresh(x.q, x.v, self._reads)
-        every = [np.asarray(s.measure(k, x, now), dtype=np.float64) for s in self.sensors]
-        return x, np.concatenate([np.zeros(0), *every])
+        values = [np.asarray(s.measure(k, x, now), dtype=np.float64) for s in self.sensors]
+        return x, np.concatenate([np.zeros(0), *values])
 
 
-def _asked(sensor: Sensor) -> Reads:
-    """What a sensor and its Jacobian read of k."""
+def _reads(sensor: Sensor) -> Reads:
+    """Return the level of kinematics that a sensor and its Jacobian read."""
     return Reads(max(sensor.reads, Reads.JACOBIAN)) if sensor.reads else Reads.NOTHING
 
 
-def moved(process: Process, P: Array, x0: Any, x1: Any) -> Array:
-    """A covariance in the tangent of x1 that was found in that of a state x0 beside it."""
-    turn = process.turned(x0, x1)
-    return P if turn is None else turn.dot(P).dot(turn.T)
+def transport_covariance(process: Process, P: Array, x0: Any, x1: Any) -> Array:
+    """Return a covariance in the tangent at x0 as one in the tangent at a nearby state x1."""
+    T = process.transport(x0, x1)
+    return P if T is None else T.dot(P).dot(T.T)

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.rows.constraint_rows import RowBlock
+from mbd_ros.core.rows.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.state import Array, State
 
 _AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
@@ -41,7 +41,7 @@ class Clearance:
     """
 
     def __init__(self, system: System, dt: float) -> None:
-        blocks = system.layout.exact
+        blocks = system.layout.event_rows
         stops = [stop for block in blocks for stop in block.part.stops]
         touching = [block for block in blocks if block.law.kind is Kind.CONE]
         self._contacts = _contact_room(system, touching)
@@ -57,7 +57,7 @@ class Clearance:
 
     @property
     def known(self) -> tuple[float, float]:
-        """What the next steps depend on: room, and the speed of all joints together."""
+        """Room, and speed of all joints together, on which the next steps depend."""
         return self.room, self._speed
 
     @known.setter
@@ -104,7 +104,7 @@ class Clearance:
         return self.room > 0.0
 
     def _gap(self, y: State) -> float:
-        """The smallest gap, as a way of all joints together [rad or m]."""
+        """Return the smallest gap, as a way of all joints together [rad or m]."""
         x, gap = self._expand(y), math.inf
         if len(self._q):
             q: Array = x.q[self._q]
@@ -134,7 +134,7 @@ class ContactRoom:
         self._speed = GapSpeed(system.robot, bodies)
 
     def shortest(self, x: State) -> float:
-        """A way of all joints together on which no gap closes, at a state of all joints."""
+        """Return a way of all joints together on which no gap closes, at a state of all joints."""
         k = self._k
         k.refresh(x.q, x.v, Reads.POSITION)
         gaps = np.array([part.residual(k, x)[::3].min() for part in self._parts])

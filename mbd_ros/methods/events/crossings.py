@@ -27,15 +27,15 @@ class Crossing(Protocol):
     """A number that has a zero.
 
     Attributes:
-        reads: What it reads of k.
+        reads: Level of the kinematics that it reads.
     """
 
     @property
     def reads(self) -> Reads:
-        """See the attributes of the class."""
+        """Level of the kinematics that it reads."""
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """The number at a state of all joints.
+        """Return the number at a state of all joints.
 
         Args:
             k: Kinematics there, refreshed as far as `reads` says.
@@ -50,7 +50,7 @@ class Gap(NamedTuple):
     reads: Reads = Reads.POSITION
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return float(self.contact.pair.gaps(k).min())
 
 
@@ -66,12 +66,12 @@ class Force(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return sum(float(lam[i]) for i in self.slots) - self.at
 
 
 class ConeRoom(NamedTuple):
-    """What friction of a contact that is held has left before it slips [N].
+    """Friction force that a held contact has in reserve before it slips [N].
 
         mu sum n - |sum t|
 
@@ -87,7 +87,7 @@ class ConeRoom(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         n = sum(float(lam[i]) for i in self.normals)
         t = (sum(float(lam[i]) for i in each) for each in self.tangents)
         return self.mu * n - math.hypot(*t)
@@ -110,12 +110,12 @@ class Footing(NamedTuple):
     reads: Reads = Reads.POSITION
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         n = lam[list(self.normals)]
         return min(float(n.dot(inside)) for inside in self.edges(k))
 
     def edges(self, k: Kinematics) -> list[Array]:
-        """Distances d_i / d of the points from each edge, shape (n,) each."""
+        """Return distances d_i / d of the points from each edge, shape (n,) each."""
         places = self.contact.pair.places(k)
         away = places.point - places.point.mean(axis=0)
         return _inside(away.dot(places.axes[0][:, :2]))
@@ -128,14 +128,14 @@ def _inside(points: Array) -> list[Array]:
     size = float(np.ptp(along)) or 1.0
     if sizes[-1] <= _LINE * sizes[0]:  # on a line: its ends
         return [(along - along.min()) / size, (along.max() - along) / size]
-    found = []
+    conditions = []
     for i, j in itertools.permutations(range(len(points)), 2):
         edge, from_i = points[j] - points[i], points - points[i]
         length = float(np.hypot(*edge))
         inside = (edge[0] * from_i[:, 1] - edge[1] * from_i[:, 0]) / max(length * size, TINY)
         if length > _LINE * size and (inside >= -_LINE).all():
-            found.append(inside)
-    return found
+            conditions.append(inside)
+    return conditions
 
 
 class Condition(NamedTuple):
@@ -169,12 +169,12 @@ class Combination(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return float(self.factors.dot(x.q[self.q])) - self.at
 
 
 def sign_change(f: Callable[[float], float], near: Point, far: Point, width: float = 0.0) -> float:
-    """Argument between two others at which f changes its sign.
+    """Return argument between two others at which f changes its sign.
 
     Bisection, or inverse quadratic interpolation where that is safe; ends when the bracket is a
     few units of rounding wide.
@@ -206,7 +206,7 @@ def sign_change(f: Callable[[float], float], near: Point, far: Point, width: flo
 
 
 def _interpolated(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Part of the way from a to b at which to look next."""
+    """Return the part of the way from a to b at which to look next."""
     (xa, fa), (xb, fb), (xc, fc) = a, b, c
     if fb == fc or fa in (fb, fc):
         return 0.5
@@ -265,7 +265,7 @@ class PartGuards:
         self._owners = [part for part, _ in self._parts for _ in part.guards]
 
     def values(self, y: State, u: Array | None, mode: Mode) -> Array:
-        """Values of all guards at a state of what is integrated, shape (n,).
+        """Return values of all guards at a state of what is integrated, shape (n,).
 
         Raises:
             ModelError: A part has another number of values than of guards.
@@ -274,7 +274,7 @@ class PartGuards:
             return np.zeros(0)
         system = self._system
         x = system.expand(y)._replace(mode=mode)
-        now, given, found = system.evaluate(x, u), system.loads.inputs(x, u), []
+        now, given, results = system.evaluate(x, u), system.loads.inputs(x, u), []
         for part, slots in self._parts:
             system.k.refresh(x.q, x.v, part.reads)
             values = np.asarray(part.guard_values(system.k, x, given, Now(now.a, now.lam[slots])))
@@ -283,11 +283,11 @@ class PartGuards:
                     f"{part.name} gives guard values of shape {values.shape}, guards: "
                     f"{len(part.guards)}"
                 )
-            found.append(values)
-        return np.concatenate(found)
+            results.append(values)
+        return np.concatenate(results)
 
     def sides(self, values: Array, slack: float, mode: Mode, left: Collection[int]) -> list[int]:
-        """The side on which each guard is watched, 0 where it does not act.
+        """Return the side on which each guard is watched, 0 where it does not act.
 
         Args:
             values: At the start of a step.
@@ -295,14 +295,14 @@ class PartGuards:
             mode: The present one.
             left: Guards that were zero just now.
         """
-        found = []
+        signs = []
         for i, (guard, value) in enumerate(zip(self.guards, values.tolist(), strict=True)):
             side = -guard.direction or (1 if value > 0.0 else -1)
             is_left = i in left and guard.direction != 0
             acts = side * value > slack or is_left
             acts = acts and (guard.armed is None or guard.armed(mode))
-            found.append(side if acts else 0)
-        return found
+            signs.append(side if acts else 0)
+        return signs
 
     def acts(self, y: State, guard: int) -> bool:
         """Whether a guard acts at a state where it is zero."""

@@ -1,4 +1,4 @@
-"""Phases of a motion: what holds, what ends them, what is reset then."""
+"""Phases of a motion: their constraints, their exits, and resets at the exits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_AT_ONCE = 100  # phases that may follow one another at one time
 
 
 class Phase(NamedTuple):
-    """What goes on between two events.
+    """A phase of the motion between two events.
 
     Attributes:
         name: Unique in the scene.
@@ -113,7 +113,7 @@ class PhaseReset:
         self._level = None if striking is None else ImpactMap(striking)
 
     def after(self, x: State) -> Struck:
-        """State of all joints after it.
+        """Return the state of all joints after it.
 
         Args:
             x: State of all joints before it.
@@ -124,13 +124,13 @@ class PhaseReset:
         """
         impulse, share = np.zeros(self._size), 1.0
         if self._level is not None:
-            found = self._level.impact(x, self._touching)
-            impulse[self._slots], share = found.p, found.share
-            x = x._replace(v=found.v)
+            result = self._level.impact(x, self._touching)
+            impulse[self._slots], share = result.p, result.share
+            x = x._replace(v=result.v)
             if not self._touching:  # what rounding leaves where masses are very unequal
-                found = self._level.impact(x, ())
-                impulse[self._slots] += found.p
-                x = x._replace(v=found.v)
+                result = self._level.impact(x, ())
+                impulse[self._slots] += result.p
+                x = x._replace(v=result.v)
             self._refuse_unheld(x, impulse[self._slots])
         if self.relabelling is not None:
             x = self.relabelling.after(x)
@@ -147,7 +147,7 @@ class PhaseReset:
 
 
 class Demand(NamedTuple):
-    """What impulses of a contact that is held have to keep.
+    """A condition on the impulses of a held contact.
 
     Attributes:
         crossing: A number that may not be negative.
@@ -160,7 +160,7 @@ class Demand(NamedTuple):
 
 
 class Struck(NamedTuple):
-    """What an impact leaves.
+    """Result of an impact.
 
     Attributes:
         x: State of all joints after it.
@@ -193,7 +193,7 @@ class Relabelling(NamedTuple):
     B: Array
 
     def after(self, x: State) -> State:
-        """The state under the new names."""
+        """Return the state under the new names."""
         q, v, z = x.q.copy(), x.v.copy(), x.z.copy()
         q[self.q] = self.A.dot(x.q[self.q]) + self.b
         v[self.v] = self.A.dot(x.v[self.v])
@@ -211,23 +211,29 @@ class PhaseGuards(Part):
 
     def __init__(self, name: str, exits: Sequence[Exit], checks: Sequence[Check]) -> None:
         self.name = name
-        crossed = [(one.crossing, one) for one in exits if one.crossing is not None]
+        crossed = [
+            (phase_exit.crossing, phase_exit)
+            for phase_exit in exits
+            if phase_exit.crossing is not None
+        ]
         self._crossings: list[Crossing] = [crossing for crossing, _ in crossed]
         self._crossings += [check.crossing for check in checks]
         self.guards = (
-            *(_guard(one) for _, one in crossed),
+            *(_guard(phase_exit) for _, phase_exit in crossed),
             *(Guard(check.name, -1, ends=True) for check in checks),
         )
-        self.reads = max((one.reads for one in self._crossings), default=Reads.NOTHING)
+        self.reads = max(
+            (phase_exit.reads for phase_exit in self._crossings), default=Reads.NOTHING
+        )
 
     def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
-        """The numbers of exits and checks, shape (n,)."""
+        """Return the numbers of exits and checks, shape (n,)."""
         return np.array([one.value(k, x, now.lam) for one in self._crossings])
 
 
-def _guard(one: Exit) -> Guard:
-    condition = None if one.condition is None else one.condition.holds
-    return Guard(one.name, one.direction, condition=condition, ends=True)
+def _guard(phase_exit: Exit) -> Guard:
+    condition = None if phase_exit.condition is None else phase_exit.condition.holds
+    return Guard(phase_exit.name, phase_exit.direction, condition=condition, ends=True)
 
 
 class PhaseSteps(Stepper):
@@ -239,7 +245,7 @@ class PhaseSteps(Stepper):
 
     Args:
         system: The systems of the phases.
-        stepper_of: Makes the steps of a system.
+        build_stepper: Makes the steps of a system.
 
     Attributes:
         phases: What ends each, and what follows.
@@ -249,18 +255,18 @@ class PhaseSteps(Stepper):
 
     now: int
     since: float
-    kept = ("now", "since", "events_so_far", "_stepped", "_last", "_at_once")
+    checkpoint_fields = ("now", "since", "events_so_far", "_stepped", "_last", "_at_once")
 
     def __init__(
         self,
         system: PhasedSystem,
-        stepper_of: Callable[[Any], Stepper],
+        build_stepper: Callable[[Any], Stepper],
     ) -> None:
         self.system = system
         phases: tuple[Phase, ...] = system.phases
         self.phases = phases
-        self._stepper_of = stepper_of
-        self._steppers = [stepper_of(one) for one in system.systems]
+        self._stepper_of = build_stepper
+        self._steppers = [build_stepper(phase_exit) for phase_exit in system.systems]
         self._used = set[int]()
         self.is_fixed = self.ends_at_samples = self._steppers[0].is_fixed
         timed = (label(p, e.name) for p in phases for e in p.exits if e.after is not None)
@@ -272,7 +278,7 @@ class PhaseSteps(Stepper):
         self.restart()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
-        """As `Stepper.step`; it ends where the phase does.
+        """Advance by one step, which ends where the phase does.
 
         Raises:
             SolveError: As the steps in a phase; or a contact that is held would open or slip, no
@@ -303,7 +309,7 @@ class PhaseSteps(Stepper):
         return self._outward(after)
 
     def settle(self, x: State, u: Array | None) -> State:
-        """As `Stepper.settle`, in the phase of the state."""
+        """Return the first state with its mode, in the phase of the state."""
         self.now = self._stepped = self.system.phase(x)
         self.since = x.t
         self._used.add(self.now)
@@ -313,7 +319,7 @@ class PhaseSteps(Stepper):
         return self._outward(y)
 
     def restart(self) -> None:
-        """As `Stepper.restart`: from the first phase on."""
+        """Forget all earlier steps, and begin in the first phase."""
         for stepper in self._steppers:
             stepper.restart()
         self.now = self._stepped = self.system.first
@@ -322,55 +328,55 @@ class PhaseSteps(Stepper):
 
     @property
     def events(self) -> EventLog:
-        """As `Stepper.events`."""
+        """Events so far."""
         return self.events_so_far
 
     def take_events(self) -> EventLog:
-        """As `Stepper.take_events`."""
+        """Return the events since the start or the last call, and forget them."""
         taken, self.events_so_far = self.events_so_far, EventLog()
         return taken
 
-    def memory(self) -> Memory:
-        """As `Stepper.memory`, with that of the steps in all phases that there were."""
-        known = {i: self._steppers[i].memory() for i in self._used}
-        return {**super().memory(), "steppers": known}
+    def checkpoint(self) -> Memory:
+        """Return a checkpoint with those of the steps in all phases so far."""
+        known = {i: self._steppers[i].checkpoint() for i in self._used}
+        return {**super().checkpoint(), "steppers": known}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        y, known = self._inward(x), memory["steppers"]
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken."""
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
+        y, known = self._inward(x), checkpoint["steppers"]
         for i in self._used - set(known):  # what is forgotten leaves a trace in their rounding
             self._steppers[i] = self._stepper_of(self.system.systems[i])
         self._used = set(known)
         for i in known:
-            self._steppers[i].recall(known[i], y)
+            self._steppers[i].restore(known[i], y)
 
     def continue_from(self, x: State) -> None:
-        """As `Stepper.continue_from`."""
+        """Continue from a corrected state, history kept."""
         y = self.system.inward(x)
         self._last = _Pair(x, y)
         self._steppers[self.now].continue_from(y)
 
     def interpolate(self, t: float) -> State:
-        """As `Stepper.interpolate`: in the phase of the last step."""
+        """Return the state at a time inside the last step, in the phase of that step."""
         last = self._last.outer
         if last is not None and t == last.t:
             return last
         return self.system.outward(self._stepped, self._steppers[self._stepped].interpolate(t))
 
     def _ended(self, y: State, u: Array | None, fired: Sequence[str]) -> State:
-        """The state in the next phase."""
+        """Return the state in the next phase."""
         system, old = self.system, self.now
         phase = self.phases[old]
-        exit_ = next((e for e in phase.exits if label(phase, e.name) in fired), None)
-        if exit_ is None:
+        phase_exit = next((e for e in phase.exits if label(phase, e.name) in fired), None)
+        if phase_exit is None:
             failed = next(one for one in phase.checks if label(phase, one.name) in fired)
             raise SolveError(f"t = {y.t:.9g} s, phase {phase.name}: {failed.failure}")
         before = system.systems[old].expand(y)
-        struck = exit_.reset.after(before)
+        struck = phase_exit.reset.after(before)
         self._count(y.t)
-        self.now, self.since = exit_.then, y.t
-        after = self._entered(struck.x, u, phase, exit_)
+        self.now, self.since = phase_exit.then, y.t
+        after = self._entered(struck.x, u, phase, phase_exit)
         outer = self._outward(after)
         failures = {label(phase, check.name) for check in phase.checks}
         names = tuple(name for name in fired if name not in failures)
@@ -385,12 +391,12 @@ class PhaseSteps(Stepper):
         self._refuse_unheld(after, u)
         return outer
 
-    def _entered(self, x: State, u: Array | None, phase: Phase, exit_: Exit) -> State:
-        """The first state of the phase that has just become the present one."""
+    def _entered(self, x: State, u: Array | None, phase: Phase, phase_exit: Exit) -> State:
+        """Return the first state of the phase that has just become the present one."""
         new, inner = self.phases[self.now], self._steppers[self.now]
         system = self.system.systems[self.now]
         y = system.reduce(x._replace(mode=()))
-        refuse_open(system, y, f"{label(phase, exit_.name)} leads to phase {new.name}")
+        refuse_open(system, y, f"{label(phase, phase_exit.name)} leads to phase {new.name}")
         pace = self._steppers[self._stepped].pace
         inner.restart()
         self._used.add(self.now)
@@ -459,16 +465,16 @@ def refuse_open(system: System, y: State, where: str) -> None:
     Raises:
         SolveError: Names the row that is most open.
     """
-    held = system.held
-    if not held.rows:
+    rigid_rows = system.bilateral
+    if not rigid_rows.rows:
         return
-    g = held.residual(y.t, y.q)
-    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
+    g = rigid_rows.residual(y.t, y.q)
+    rate = rigid_rows.jacobian(y.t, y.q).dot(y.v) + rigid_rows.rate(y.t, y.q)
     fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
     for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
         worst = int(np.argmax(np.abs(size)))
         if not abs(size[worst]) <= ASSEMBLED * accepted:
             raise SolveError(
-                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
+                f"t = {y.t:.9g} s: {where}, whose row {rigid_rows.rows[worst].name} is "
                 f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
             )

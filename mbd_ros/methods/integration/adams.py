@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.state import NONE, Array, Memory, Mode, State
+from mbd_ros.core.state import NONE, Array, Memory, Mode, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.dop853_tableau import DOP853
 from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
@@ -35,7 +35,8 @@ class AdamsSteps(Stepper):
         dt: Length of a step [s].
     """
 
-    kept = ("_known", "_last", "_ready", "_held", "_start")
+    can_stride = True
+    checkpoint_fields = ("_known", "_last", "_ready", "_u", "_start")
 
     def __init__(self, system: Any, order: int, dt: float) -> None:
         self._accelerate, self._needed = system.accelerator(), order - 1
@@ -49,16 +50,15 @@ class AdamsSteps(Stepper):
         self._last: State | None = None  # what the last step returned while the method starts
         self._ready: State | None = None  # the same, once there are enough accelerations
         self._head = np.zeros((2, int(system.nv)))  # [q; v] from which the next step starts
-        self._held: bytes | None = None
+        self._u: Array | None = None  # commands of the last step
         self._start: State | None = None  # where the last step began
         self._mode: Mode = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
         t, q, v, _, _ = x
-        held = None if u is None else u.tobytes()
-        if x is not self._ready or held != self._held or t + self._near > end:
-            return self._slow_step(x, u, end, held)
+        if x is not self._ready or t + self._near > end or not have_same_bits(u, self._u):
+            return self._slow_step(x, u, end)
         row, product, before, after, after_q, after_v = next(self._slots)
         self._accelerate(t, q, v, u, row)
         product(before, after)
@@ -75,22 +75,10 @@ class AdamsSteps(Stepper):
         most: int,
         watch: Callable[[Array], bool] | None = None,
     ) -> tuple[State, int]:
-        """Advance by several full steps, without the states in between.
-
-        Args:
-            x: As for `step`.
-            u: As for `step`.
-            end: As for `step`.
-            most: How many steps are taken at most.
-            watch: Is told the velocity after each step, and says whether to stop there.
-
-        Returns:
-            The last state, and how many steps were taken.
-        """
+        """Advance by several full steps, without the states in between."""
         t, q, v, _, _ = x
         count = min(most, int((end - t) / self._dt - _LAST))
-        held = None if u is None else u.tobytes()
-        if x is not self._ready or held != self._held or count < 1:
+        if x is not self._ready or count < 1 or not have_same_bits(u, self._u):
             after_x = self.step(x, u, end)
             if watch is not None:
                 watch(after_x.v)
@@ -110,26 +98,26 @@ class AdamsSteps(Stepper):
 
     def restart(self) -> None:
         """Forget the accelerations of earlier steps."""
-        self._known, self._last, self._ready, self._held = 0, None, None, None
+        self._known, self._last, self._ready, self._u = 0, None, None, None
         self._starter.restart()
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`, by the starter; the method starts anew after it."""
+        """Take the last step again by the starter; the method restarts after it."""
         start, starter = self.began(), self._starter
         self._known, self._last, self._ready = 0, None, None
         if starter.before is not start:
             starter.restart()
-            starter.start(start, None if self._held is None else np.frombuffer(self._held))
+            starter.start(start, self._u)
         return starter.again(h, t)
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
-        """As `Stepper.follow`."""
+        """Follow other accelerations from the next step on."""
         self._accelerate, self._mode = accelerate, mode
         self._starter.follow(accelerate, mode)
         self.restart()
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, of the order of the method.
+        """Return the state inside the last step, of the order of the method.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -148,16 +136,16 @@ class AdamsSteps(Stepper):
         q = start.q + theta * dt * start.v + dt * dt * twice.dot(a)
         return State(t, q, start.v + dt * once.dot(a), mode=self._mode)
 
-    def memory(self) -> Memory:
-        """Accelerations of earlier steps, and where the next one stands among them."""
+    def checkpoint(self) -> Memory:
+        """Return accelerations of earlier steps, and where the next one stands among them."""
         rows = self._B.copy(), self._done()
-        return {**super().memory(), "rows": rows, "starter": self._starter.memory()}
+        return {**super().checkpoint(), "rows": rows, "starter": self._starter.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._starter.recall(memory["starter"], x)
-        self._B[...], done = memory["rows"]
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
+        self._starter.restore(checkpoint["starter"], x)
+        self._B[...], done = checkpoint["rows"]
         self._slots = cycle(self._turns)
         for row, _, _, head, _, _ in islice(self._slots, done):
             self._row, self._head = row, head
@@ -171,13 +159,13 @@ class AdamsSteps(Stepper):
             self._last = x
 
     def _done(self) -> int:
-        """How many of the turns lie behind, 0 before the first one."""
+        """Return how many of the turns lie behind, 0 before the first one."""
         heads = ((row, head) for row, _, _, head, _, _ in self._turns)
         turns = [row is self._row and head is self._head for row, head in heads]
         return 1 + turns.index(True) if True in turns else 0
 
     def began(self) -> State:
-        """The state from which the last step began, one of several at once too.
+        """Return the state from which the last step began, one of several at once too.
 
         Raises:
             ModelError: No step was taken.
@@ -191,24 +179,24 @@ class AdamsSteps(Stepper):
         return self._start
 
     def _accelerations(self) -> Array:
-        """Those of the last step, the newest first, shape (order, nv)."""
+        """Return those of the last step, the newest first, shape (order, nv)."""
         last = self._done() - 1
         rows: Array = np.array([self._turns[last - age][0] for age in range(len(self._ages))])
         return rows
 
-    def _slow_step(self, x: State, u: Array | None, end: float, held: bytes | None) -> State:
-        """A step that starts the method, or that ends at `end`."""
+    def _slow_step(self, x: State, u: Array | None, end: float) -> State:
+        """Return a step that starts the method, or that ends at `end`."""
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
         # Commands count by value, since a controller may reuse its array.
-        is_new = held != self._held or (x is not self._ready and x is not self._last)
+        is_new = not have_same_bits(u, self._u) or (x is not self._ready and x is not self._last)
         if h == self._dt and not is_new and x is self._ready:
             self._ready = after = self.step(x, u)._replace(t=t)
             return after
         if is_new or h != self._dt:
             self.restart()
-            self._held = held
+            self._u = None if u is None else u.copy()
         self._start, after = x, self._starter.step(x, u, end)
         if h == self._dt:
             self._keep(after)
@@ -227,7 +215,7 @@ class AdamsSteps(Stepper):
 
 
 def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
-    """Weights of the accelerations by age in the changes of q and v.
+    """Return weights of the accelerations by age in the changes of q and v.
 
     Integrals of the Lagrange polynomials over the step.
     """
@@ -236,7 +224,7 @@ def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
 
 
 def starter(order: int) -> Tableau:
-    """The Runge-Kutta method that takes the first steps.
+    """Return the Runge-Kutta method that takes the first steps.
 
     Errors of the first steps do not add up: one order less than that of the method will do.
     """
@@ -244,7 +232,7 @@ def starter(order: int) -> Tableau:
 
 
 def turns(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]:
-    """What the steps need in turn, until everything is back in place.
+    """Return what the steps need in turn, until everything is back in place.
 
     Returns:
         B with both places of [q; v]. For each turn: row of the newest acceleration, product with
@@ -283,16 +271,16 @@ def integrals(places: Sequence[float] | Array, theta: float) -> tuple[Array, Arr
 
 
 def _bases(places: Sequence[float] | Array) -> list[Array]:
-    """The polynomials that are 1 at one place and 0 at the others, highest power first."""
-    found = []
+    """Return the polynomials that are 1 at one place and 0 at the others, highest power first."""
+    bases = []
     for i, place in enumerate(places):
         basis = np.atleast_1d(np.poly(np.delete(places, i)))
-        found.append(basis / np.polyval(basis, place))
-    return found
+        bases.append(basis / np.polyval(basis, place))
+    return bases
 
 
 def powers(places: Sequence[float] | Array) -> tuple[Array, Array]:
-    """The same weights as polynomials of theta.
+    """Return the same weights as polynomials of theta.
 
         once[i] = sum_k first[i, k] theta^(k + 1),   twice[i] = sum_k second[i, k] theta^(k + 2)
 

@@ -28,29 +28,29 @@ class AdaptedSteps(Stepper):
         """Advance by one step of the method; x itself at or after `end`."""
         before = self._known(x)
         after = self._inner.step(before, u, end)
-        return x if after is before else self._kept(after)
+        return x if after is before else self._store(after)
 
     def settle(self, x: State, u: Array | None) -> State:
-        """The first state with the mode in which it goes on."""
-        return self._kept(self._inner.settle(self._known(x), u))
+        """Return the first state with the mode in which it goes on."""
+        return self._store(self._inner.settle(self._known(x), u))
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
         self._inner.restart()
         self._last = (None, None)
 
-    def memory(self) -> Memory:
-        """What the method remembers, and the last state in both forms."""
-        return {"last": copied(self._last), "inner": self._inner.memory()}
+    def checkpoint(self) -> Memory:
+        """Return what the method remembers, and the last state in both forms."""
+        return {"last": copied(self._last), "inner": self._inner.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        self._last = recognised(copied(memory["last"]), x)
-        self._inner.recall(memory["inner"], self._known(x))
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken."""
+        self._last = recognised(copied(checkpoint["last"]), x)
+        self._inner.restore(checkpoint["inner"], self._known(x))
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again with another length."""
-        return self._kept(self._inner.again(h, t))
+        """Return the last step taken again with another length."""
+        return self._store(self._inner.again(h, t))
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """Follow other accelerations from the next step on."""
@@ -63,7 +63,7 @@ class AdaptedSteps(Stepper):
 
     @property
     def pace(self) -> tuple[float, ...]:
-        """As `Stepper.pace`."""
+        """Length of the next step [s] and last error, where the method chooses its steps."""
         return self._inner.pace
 
     @pace.setter
@@ -71,30 +71,30 @@ class AdaptedSteps(Stepper):
         self._inner.pace = pace
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the dense output of the method."""
-        return self._given(self._inner.interpolate(t))
+        """Return the state inside the last step, by the dense output of the method."""
+        return self._to_system_form(self._inner.interpolate(t))
 
-    def _adapted(self, x: State) -> State:
-        """A state in the form of the method."""
+    def _to_method_form(self, x: State) -> State:
+        """Return a state in the form of the method."""
         raise NotImplementedError
 
-    def _given(self, after: State) -> State:
-        """A state of the method in the form of the system."""
+    def _to_system_form(self, after: State) -> State:
+        """Return a state of the method in the form of the system."""
         raise NotImplementedError
 
     def _moved(self, x: State) -> State:
-        """A state in the form of the method, near the last one."""
-        return self._adapted(x)
+        """Return a state in the form of the method, near the last one."""
+        return self._to_method_form(x)
 
     def _known(self, x: State) -> State:
         last, adapted = self._last
         if x is not last or adapted is None:
-            adapted = self._adapted(x)
+            adapted = self._to_method_form(x)
             self._last = x, adapted
         return adapted
 
-    def _kept(self, after: State) -> State:
-        x = self._given(after)
+    def _store(self, after: State) -> State:
+        x = self._to_system_form(after)
         self._last = x, after
         return x
 
@@ -111,11 +111,11 @@ class TurnedSteps(AdaptedSteps):
         super().__init__(world, inner)
         self._world = world
 
-    def _adapted(self, x: State) -> State:
-        return self._world.turned(x)
+    def _to_method_form(self, x: State) -> State:
+        return self._world.to_world(x)
 
-    def _given(self, after: State) -> State:
-        return self._world.turned_back(after)
+    def _to_system_form(self, after: State) -> State:
+        return self._world.from_world(after)
 
 
 class InternalSteps(AdaptedSteps):
@@ -129,37 +129,37 @@ class InternalSteps(AdaptedSteps):
     """
 
     def __init__(self, method: Integrator, system: Any, dt: float) -> None:
-        self._whole, self._nq = Extended(system), int(system.nq)
-        super().__init__(self._whole, method.prepare(self._whole, dt))
+        self._extended, self._nq = Extended(system), int(system.nq)
+        super().__init__(self._extended, method.prepare(self._extended, dt))
         followed = self._inner.system
         self.system = None if followed is None else followed.system
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again with another length."""
+        """Return the last step taken again with another length."""
         after = self._inner.again(h, t)
-        x = self._whole.parted(after)
+        x = self._extended.parted(after)
         self._last = x, after
         if _is_beyond(x, after):
             self._last = x, self._moved(x)
         return x
 
-    def _adapted(self, x: State) -> State:
-        return self._whole.joined(x)
+    def _to_method_form(self, x: State) -> State:
+        return self._extended.joined(x)
 
-    def _given(self, after: State) -> State:
-        return self._whole.parted(after)
+    def _to_system_form(self, after: State) -> State:
+        return self._extended.parted(after)
 
-    def _kept(self, after: State) -> State:
-        """The state after a step; the method goes on from bounds where it went beyond."""
-        x = super()._kept(after)
+    def _store(self, after: State) -> State:
+        """Return the state after a step; the method goes on from bounds where it went beyond."""
+        x = super()._store(after)
         if _is_beyond(x, after):
             self.continue_from(x)
         return x
 
     def _moved(self, x: State) -> State:
-        """A state with the integrals of the last one."""
+        """Return a state with the integrals of the last one."""
         joined = self._last[1]
-        return self._whole.joined(x, None if joined is None else joined.q[self._nq :])
+        return self._extended.joined(x, None if joined is None else joined.q[self._nq :])
 
 
 def _is_beyond(x: State, joined: State) -> bool:

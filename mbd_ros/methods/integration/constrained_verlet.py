@@ -13,7 +13,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.delassus import RowFactor
-from mbd_ros.core.state import Array, Memory, State, copied
+from mbd_ros.core.state import Array, Memory, State, copied, have_same_bits
 from mbd_ros.core.thresholds import ASSEMBLED, redundant
 from mbd_ros.errors import DivergedError
 from mbd_ros.methods.integration.newton import FAILED, converge
@@ -54,11 +54,11 @@ class Configuration:
             self.lift: Array = factor.motion(unit)
 
     def respond(self, force: Array) -> Array:
-        """M^-1 force, shape (nv,)."""
+        """Return M^-1 force, shape (nv,)."""
         return self._mass.solve(force)
 
     def project(self, v: Array) -> Array:
-        """The nearest velocity, in the mass metric, with J v + dg/dt = 0."""
+        """Return the nearest velocity, in the mass metric, with J v + dg/dt = 0."""
         nearest: Array = v - self.lift.dot(self._J.dot(v) + self._rate)
         return nearest
 
@@ -86,14 +86,14 @@ class ConstrainedVerlet:
         self._stretch = 1.0
         self._here: Configuration | None = None
 
-    def memory(self) -> Memory:
-        """Corrections of the last step, from which the next one starts."""
+    def checkpoint(self) -> Memory:
+        """Return corrections of the last step, from which the next one starts."""
         return {name: copied(getattr(self, name)) for name in _KEPT}
 
-    def recall(self, memory: Memory) -> None:
-        """Continue from a memory."""
+    def restore(self, checkpoint: Memory) -> None:
+        """Continue from a checkpoint."""
         self.restart()
-        for name, value in memory.items():
+        for name, value in checkpoint.items():
             setattr(self, name, copied(value))
 
     def at(self, t: float, q: Array) -> Configuration:
@@ -112,7 +112,7 @@ class ConstrainedVerlet:
         share: float,
         force: Array,
     ) -> tuple[Array, Array]:
-        """Velocity w of the step and the configuration it leads to.
+        """Return the velocity w of the step and the configuration it leads to.
 
         Args:
             move: Length of the step and the time it ends at [s].
@@ -128,7 +128,7 @@ class ConstrainedVerlet:
         s, w, q = self._move(here, x.v + kick * here.respond(force), first, move)
         if share:
             now = applied(x.t, x.q, x.v + share * (w - x.v), u)
-            if now.tobytes() != force.tobytes():
+            if not have_same_bits(now, force):
                 s, w, q = self._settle(x, u, move, kick, share, (s, w, now))
         if not isfinite(w.dot(w)):
             raise DivergedError(f"{self._name}: velocities after t = {x.t:.9g} s are not finite")
@@ -164,7 +164,7 @@ class ConstrainedVerlet:
     def _move(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
-        """The s, w - lift s and the configuration, with g = 0 there.
+        """Return the s, w - lift s and the configuration, with g = 0 there.
 
         The rows at the start serve as derivatives. The observed contraction, also that of the last
         step, lengthens or shortens corrections (Aitken), which for one row is the secant method.
@@ -193,7 +193,7 @@ class ConstrainedVerlet:
     def _move_by_newton(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
-        """The same with fresh rows in every correction, for rows that turn within the step."""
+        """Move with fresh rows in every correction, for rows that turn within the step."""
         (h, t), system, lift, worst, last = move, self._system, here.lift, 0, np.inf
         for _ in range(_NEWTON):
             q = system.chart.integrate(here.q, h * (w - lift.dot(s)))

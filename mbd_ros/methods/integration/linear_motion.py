@@ -50,7 +50,7 @@ class LinearMotion:
 
 
 def linear_motion(system: System, x: State) -> LinearMotion:
-    """The motion around a state.
+    """Return the motion around a state.
 
     Smoothed rows and drives count with their time constants, whether they act or not. A force that
     switches counts with its side at the state: across the surface a difference quotient is no
@@ -123,14 +123,14 @@ def is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
 
 
 def spectral_radius(step: Array) -> float:
-    """Largest absolute eigenvalue of the matrix of a step."""
+    """Return the largest absolute eigenvalue of the matrix of a step."""
     if not np.isfinite(step).all():
         return math.inf
     return float(np.abs(np.linalg.eigvals(step)).max(initial=0.0))
 
 
 def runge_kutta_growth(tableau: Tableau, motion: LinearMotion, dt: float) -> float:
-    """Largest |R(lambda dt)|, with the stability function R of a method.
+    """Return the largest |R(lambda dt)|, with the stability function R of a method.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II, 1996, IV.2.
 
@@ -183,5 +183,5 @@ class SpringMotion(LinearMotion):
         return LinearMotion(-stiffness, -self.dampers).eigenvalues
 
     def growth(self, dt: float) -> float:
-        """Largest factor by which the motion itself grows in dt [s], which is 1."""
+        """Return the largest factor by which the motion itself grows in dt [s], which is 1."""
         return 1.0

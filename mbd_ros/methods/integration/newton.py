@@ -66,10 +66,10 @@ def refuse_rows_of_velocities(system: System, name: str) -> None:
     Raises:
         ModelError: There are some; names them.
     """
-    held = system.held
-    if len(held.rows) > len(system.rows):
+    bilateral = system.bilateral
+    if len(bilateral.rows) > len(system.rows):
         known = {row.name for row in system.rows}
-        rows = ", ".join(row.name for row in held.rows if row.name not in known)
+        rows = ", ".join(row.name for row in bilateral.rows if row.name not in known)
         raise ModelError(
             f"integrator {name} keeps rows of positions, the scene has rows of velocities {rows}; "
             "accepted: generalized_alpha, or any integrator that does not keep constraints itself"

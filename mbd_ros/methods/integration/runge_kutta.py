@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.core.state import Array, Mode, State, have_same_bits
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.methods.integration.stepping import Stepper, clip
 
@@ -85,7 +85,7 @@ def rk_stages(
 
 
 def runge_kutta(system: Any, tableau: Tableau, dt: float, tolerance: float | None) -> RungeKutta:
-    """The stepper for fixed steps, or with a tolerance for adaptive ones."""
+    """Return the stepper for fixed steps, or with a tolerance for adaptive ones."""
     if tolerance is None:
         return RungeKutta(system, tableau, dt)
     return AdaptiveRungeKutta(system, tableau, dt, tolerance)
@@ -104,7 +104,7 @@ class RungeKutta(Stepper):
         before: State that the last step started from.
     """
 
-    kept: ClassVar[tuple[str, ...]] = ("before", "_after", "_u", "_h", "_K", "_known")
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ("before", "_after", "_u", "_h", "_K", "_known")
 
     def __init__(self, system: Any, tableau: Tableau, dt: float) -> None:
         self._chart, self._accelerate = system.chart, system.accelerator()
@@ -130,7 +130,7 @@ class RungeKutta(Stepper):
     def start(self, x: State, u: Array | None) -> None:
         """Begin a step at x: the first rates."""
         first, nv = self._K[0], self._nv
-        if self._known > self._stages and x is self._after and _are_same(u, self._u):
+        if self._known > self._stages and x is self._after and have_same_bits(u, self._u):
             first[nv:] = self._K[self._stages, nv:]
         else:
             self._u = None if u is None else u.copy()  # a controller may reuse its array
@@ -149,13 +149,13 @@ class RungeKutta(Stepper):
         return self._after
 
     def errors(self) -> Array:
-        """Error estimates of [dq; v] over the last step, shape (m, 2 nv)."""
+        """Return the error estimates of [dq; v] over the last step, shape (m, 2 nv)."""
         weights = self._tableau.errors
         errors: Array = self._h * weights.dot(self._rates(weights.shape[1]))
         return errors
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the dense output of the method.
+        """Return the state inside the last step, by the dense output of the method.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -205,13 +205,6 @@ class RungeKutta(Stepper):
         return rates
 
 
-def _are_same(u: Array | None, other: Array | None) -> bool:
-    """Whether two inputs have the same bits."""
-    if u is None or other is None:
-        return u is other
-    return u.tobytes() == other.tobytes()
-
-
 class AdaptiveRungeKutta(RungeKutta):
     """Explicit Runge-Kutta steps with error control.
 
@@ -228,7 +221,7 @@ class AdaptiveRungeKutta(RungeKutta):
         tolerance: Relative and absolute.
     """
 
-    kept = (*RungeKutta.kept, "_length", "_last_error")
+    checkpoint_fields = (*RungeKutta.checkpoint_fields, "_length", "_last_error")
     is_fixed = False
 
     def __init__(self, system: Any, tableau: Tableau, dt: float, tolerance: float) -> None:
@@ -280,14 +273,14 @@ class AdaptiveRungeKutta(RungeKutta):
         self._length, self._last_error = 0.0, _SMALL_ERROR
 
     def _factor(self, error: float) -> float:
-        """Change of the step length after an accepted step."""
+        """Return the change of the step length after an accepted step."""
         error = max(error, _NO_ERROR)
         factor = error ** (0.75 * _MEMORY - self._power) * self._last_error**_MEMORY
         self._last_error = max(error, _SMALL_ERROR)
         return float(max(_LEAST, _SAFETY * factor))
 
     def _scale(self, x: State) -> Array:
-        """Size of an error that counts as one, shape (2 nv,)."""
+        """Return the size of an error that counts as one, shape (2 nv,)."""
         scale, nv = self._weights, len(x.v)
         scale[:nv] = x.q if self._chart.is_flat else 0.0
         scale[nv:] = x.v
@@ -319,7 +312,7 @@ class AdaptiveRungeKutta(RungeKutta):
 
 
 def _norm(errors: Array) -> float:
-    """Root mean square of an error estimate, or of the two of DOP853 combined."""
+    """Return the root mean square of an error estimate, or of the two of DOP853 combined."""
     square = errors[0].dot(errors[0])
     if len(errors) == 2:
         whole = square + 0.01 * errors[1].dot(errors[1])
@@ -369,7 +362,7 @@ class Tableau(NamedTuple):
         return np.vstack([hermite, self.dense.reshape(-1, len(step))])
 
     def weights(self, theta: float) -> Array:
-        """Weights w of the rates with y(t + theta h) = y + h sum_i w_i k_i, shape (n,).
+        """Return weights w of the rates with y(t + theta h) = y + h sum_i w_i k_i, shape (n,).
 
             y + theta (F0 + (1 - theta) (F1 + theta (F2 + (1 - theta) (F3 + ..))))
 
@@ -385,7 +378,7 @@ class Tableau(NamedTuple):
 
 
 def matrix(rows: Sequence[Mapping[int, float]], columns: int) -> Array:
-    """Dense matrix of rows that are given as {column: value}."""
+    """Return the dense matrix of rows that are given as {column: value}."""
     full = np.zeros((len(rows), columns))
     for row, values in zip(full, rows, strict=True):
         row[list(values)] = list(values.values())

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from mbd_ros.core.state import Array, Memory, Mode, State, copied, recognised
 from mbd_ros.core.thresholds import SAME_TIME
+from mbd_ros.errors import ModelError
 
 NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this from the end
 
@@ -20,23 +21,22 @@ class Integrator:
         dense: Whether its steppers can interpolate.
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
-        keeps_internal: Whether the method moves internal states, as velocities of coordinates
-            that nobody asks for; see `core/dynamics/internal_dynamics.py`.
+        keeps_internal: Whether the method integrates internal states as further velocities, as
+            `core/dynamics/internal_dynamics.py` describes.
         moves_internal: Whether its steppers take states with internal states as they are.
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
-            at events; other methods refuse exact rows that give way, and guards.
-        event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
-            that.
+            at events; other methods refuse event-driven rows, and guards.
+        event_steps: Class that takes its steppers from event to event; None for `EventSteps`.
         turns: Whether its steppers turn the velocities of a system in the axes of the world, and
             back, themselves.
-        at_velocity_level: Whether its steps solve for rows that give way with their rates at the
-            end of the step, impacts included, exact or smoothed, and for internal states.
+        at_velocity_level: Whether its steps solve for unilateral and bounded rows with their rates
+            at the end of the step, impacts included, and for internal states.
         finds_surfaces: Whether surfaces of switching forces are events, too.
         native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
             have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
             no such steps.
-        asks: Functions of a compiled scene that its steps in Python gain by, as
+        compiled_functions: Functions of a compiled scene that its steps in Python gain by, as
             `compiled/symbols/trace.py` names them; empty where they gain nothing.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
@@ -55,12 +55,12 @@ class Integrator:
     at_velocity_level: ClassVar[bool] = False
     finds_surfaces: bool = False
     native: str = ""
-    asks: tuple[str, ...] = ()
+    compiled_functions: tuple[str, ...] = ()
     stable: float = 2.5
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Name of the method for people."""
         return type(self).__name__
 
     def growth(self, motion: Any, dt: float) -> float:
@@ -73,25 +73,35 @@ class Integrator:
         return math.inf
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s]."""
+        """Return a stepper for one system and one step size [s]."""
         raise NotImplementedError
+
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s].
+
+        Raises:
+            ModelError: The method has no steps for particles.
+        """
+        raise ModelError(f"{self.title} has no steps for particles; accepted: rattle, shake")
 
 
 class Stepper:
     """A method at work on one system with one step size.
 
     Attributes:
-        kept: Names of the attributes that later steps depend on beside their arguments.
+        checkpoint_fields: Names of the attributes on which later steps depend, for checkpoints.
         system: The system that the steps follow, where it is not the one they were prepared for.
         is_fixed: Whether steps are as long as dt, those apart that end early.
         ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
             as ticks of a live simulation have it; otherwise samples are interpolated until then.
-        guards: Names of what may happen at one time.
+        can_stride: Whether `stride` takes several steps at once faster than one by one.
+        guards: Names of the guards whose events may fall together.
         switches: Names of those that a mode has an entry for, in that order.
     """
 
+    can_stride: bool = False
     system: Any = None
-    kept: ClassVar[tuple[str, ...]] = ()
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ()
     is_fixed: bool = True
     ends_at_samples: bool = False
     guards: tuple[str, ...] = ()
@@ -110,8 +120,30 @@ class Stepper:
         """
         raise NotImplementedError
 
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
+        """Advance by several full steps, without the states in between; see `can_stride`.
+
+        Args:
+            x: State to start from; normally what the last step returned.
+            u: Commands, held over the steps; None without actuators.
+            end: Time that the steps do not go beyond [s].
+            most: Largest number of steps that are taken.
+            watch: Called with the velocity after each step; the steps stop where it returns True.
+
+        Returns:
+            The last state, and the number of steps that were taken.
+        """
+        return self.step(x, u, end), 1
+
     def settle(self, x: State, u: Array | None) -> State:
-        """The first state with the mode in which it goes on.
+        """Return the first state with the mode in which it goes on.
 
         Args:
             x: State from which the first step starts.
@@ -120,25 +152,25 @@ class Stepper:
         return x
 
     def restart(self) -> None:
-        """Forget everything that was kept from earlier steps."""
+        """Forget all earlier steps."""
 
     @property
     def events(self) -> Sequence[Any]:
-        """What has happened so far, each an `Event`."""
+        """Events so far."""
         return ()
 
     def take_events(self) -> Sequence[Any]:
-        """What has happened since the start or the last call; it is forgotten."""
+        """Return what has happened since the start or the last call; it is forgotten."""
         return ()
 
     @property
     def residuals(self) -> Any:
-        """Worst `Residuals` of contacts since the last `forget_residuals`; None without any."""
+        """Worst `Residuals` of contacts since the last `reset_residuals`; None without any."""
         return None
 
     @property
     def forces(self) -> Array | None:
-        """Mean forces of rows that give way in the last step; None where nobody has to know."""
+        """Mean forces of unilateral and bounded rows in the last step; None for most methods."""
         return None
 
     @property
@@ -146,25 +178,25 @@ class Stepper:
         """Names of the guards that ended a phase in the last step; empty while it goes on."""
         return ()
 
-    def forget_residuals(self) -> None:
-        """Begin to look for the worst residuals anew."""
+    def reset_residuals(self) -> None:
+        """Set the worst residuals to 0."""
 
-    def memory(self) -> Memory:
-        """What later steps depend on beside their arguments, as a value of its own."""
-        return {name: copied(getattr(self, name)) for name in self.kept}
+    def checkpoint(self) -> Memory:
+        """Return what later steps depend on beside their arguments, as a value of its own."""
+        return {name: copied(getattr(self, name)) for name in self.checkpoint_fields}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits.
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits.
 
         Args:
-            memory: What `memory` gave, of a stepper for the same system and step size.
+            checkpoint: What `checkpoint` gave, of a stepper for the same system and step size.
             x: State from which the next step starts.
         """
-        for name, value in memory.items():
+        for name, value in checkpoint.items():
             setattr(self, name, recognised(copied(value), x))
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again from its start, with the order of the method.
+        """Return the last step taken again from its start, with the order of the method.
 
         Args:
             h: Another length [s].
@@ -188,7 +220,7 @@ class Stepper:
         """Go on from a state that stabilization has made of the last one, history kept."""
 
     def interpolate(self, t: float) -> State:
-        """State at a time inside the last step, for methods with dense output."""
+        """Return the state at a time inside the last step, for methods with dense output."""
         raise NotImplementedError
 
     @property
@@ -209,11 +241,14 @@ class Stepper:
         return None
 
     def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
-        """The same by length and time after the last step, taken again; nan where that fails."""
+        """Return a margin after the last step taken again, by length and time; None if unknown.
+
+        The margin is nan where the step fails.
+        """
         return None
 
     def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
-        """When a gap closes in the last step before anything else happens.
+        """Return when a gap closes in the last step before anything else happens.
 
         Args:
             left: Switches that the motion is just leaving.
@@ -254,26 +289,19 @@ class BlockStepper(Stepper):
         spans_samples: Whether samples follow that are inside a step which was taken alone.
     """
 
+    can_stride = True
     handed_over: int = 0
     takes_blocks: bool = True
     spans_samples: bool = False
 
     @property
     def plain_steps(self) -> int:
-        """Those of the steps in `handed_over` that other code has integrated, too."""
+        """Number of steps in `handed_over` that other code has also integrated."""
         return self.handed_over
 
     @property
     def evaluations(self) -> int:
         """How often accelerations were computed, those of the system apart."""
-        raise NotImplementedError
-
-    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
-        """Advance by several steps, as `Stepper.step`.
-
-        Returns:
-            The last state, and how many steps of at most `most` were taken.
-        """
         raise NotImplementedError
 
     @property
@@ -287,13 +315,13 @@ class BlockStepper(Stepper):
         raise NotImplementedError
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         raise NotImplementedError
 
     @property
     def state(self) -> State:
-        """What is integrated, after the last step."""
+        """State of the integrated coordinates after the last step."""
         raise NotImplementedError
 
     def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
@@ -306,21 +334,21 @@ class BlockStepper(Stepper):
         """
         raise NotImplementedError
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
-        """The samples after the newest one.
+    def samples(self, times: Any, hold: HeldTable, steps: int, most: int) -> SampleBlock:
+        """Return the samples after the newest one.
 
         Args:
             times: The `SampleTimes` of the run.
-            held: Inputs from where the run stands on.
+            hold: Inputs from where the run stands on.
             steps: How many steps may be taken.
             most: How many samples may be taken.
         """
         raise NotImplementedError
 
-    def whole(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: Any, hold: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end at once, again and again.
+        """Return what takes a run from its start to its end at once, again and again.
 
         Its rows are those of a `SampleBlock`; None where the run stopped earlier.
 
@@ -328,14 +356,14 @@ class BlockStepper(Stepper):
             y: What is integrated at the start.
             first: The first row.
             times: The `SampleTimes` of the run.
-            held: Inputs of the whole run.
+            hold: Inputs of the whole run.
             steps: How many steps may be taken.
         """
         raise NotImplementedError
 
 
 class SampleBlock(NamedTuple):
-    """What one call took.
+    """Samples of one call.
 
     Attributes:
         rows: A sample a row: time, positions and velocities of all joints, internal states.

@@ -38,13 +38,13 @@ _LONGER = 1.0e4  # than the shortest time of a motion: steps that no bound is lo
 
 
 def windows(motion: ContactMotion, method: Integrator, dt: float) -> list[Window]:
-    """The window of each contact, all contacts that move one another made stiffer together.
+    """Return the window of each contact, all contacts that move one another made stiffer together.
 
     Args:
         method: What integrates it.
         dt: Its step [s].
     """
-    found = []
+    entries = []
     for group in motion.parted():
         ends = ends_of(group, method, dt)
         for part in dict.fromkeys(feature.part for feature in group.features):
@@ -52,17 +52,17 @@ def windows(motion: ContactMotion, method: Integrator, dt: float) -> list[Window
             k, depth, load = part.normal.stiffness, part.max_penetration, max(loads)
             lower = part.normal.least(load, depth) if depth else 0.0
             opening = longest(group, method, lower / k) if lower > k * ends.share else math.inf
-            found.append(
+            entries.append(
                 Window(
                     *(part, len(loads), load, lower, k * ends.share, k * ends.impacts),
                     *(ends.longest, opening),
                 )
             )
-    return found
+    return entries
 
 
 def ends_of(motion: ContactMotion, method: Integrator, dt: float) -> Ends:
-    """Largest multiples of the stiffness of contacts, and their longest step.
+    """Return the largest multiples of the stiffness of contacts, and their longest step.
 
     Args:
         motion: Of contacts that move one another.
@@ -86,7 +86,7 @@ def ends_of(motion: ContactMotion, method: Integrator, dt: float) -> Ends:
 
 
 def _largest(holds: Any) -> float:
-    """Largest share for which something holds, 0 for none, inf for all."""
+    """Return the largest share for which something holds, 0 for none, inf for all."""
     share = 1.0
     if holds(share):
         while holds(_WIDE * share):
@@ -134,7 +134,7 @@ def largest_without_gain(method: Integrator, a: float, b: float) -> float:
 
 
 def longest(motion: ContactMotion, method: Integrator, share: float) -> float:
-    """Longest step for a multiple of the stiffness of contacts [s], inf without any."""
+    """Return the longest step for a multiple of the stiffness of contacts [s], inf without any."""
     linear = motion.linear(share)
     if not method.is_explicit or not linear.rate:
         return math.inf
@@ -182,7 +182,7 @@ class Ends(NamedTuple):
 def touching_motion(
     system: System, parts: Sequence[Any], x: State, u: Array | None = None
 ) -> ContactMotion:
-    """The motion of all contacts at a state, as if each touched with its nearest features.
+    """Return the motion of all contacts at a state, as if each touched with its nearest features.
 
     A feature counts with the load that it would carry at rest: the least loads that keep all of
     them from going deeper, as springs of one stiffness share them; or with the `max_force` of its
@@ -206,15 +206,15 @@ def touching_motion(
     answer = _answer(system, still, now, np.column_stack((J.T, pushed)))
     A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
     loads = _at_rest(A[::3, ::3], J[::3].dot(free))
-    found = [
+    features = [
         Feature(part, slot, load if part.max_force is None else part.max_force)
         for (part, slot), load in zip(slots, loads.tolist(), strict=True)
     ]
-    return ContactMotion(found, A)
+    return ContactMotion(features, A)
 
 
 def _rows(system: System, slots: Sequence[tuple[Any, int]]) -> Array:
-    """Rows of features, at the state of k, shape (3 n, nv)."""
+    """Return rows of features, at the state of k, shape (3 n, nv)."""
     whole = {id(part): part.pair.jacobian(system.k) for part, _ in slots}
     rows: Array = np.concatenate([whole[id(part)][3 * i : 3 * i + 3] for part, i in slots])
     return rows
@@ -237,7 +237,7 @@ def _answer(system: System, x: State, now: Evaluation, forces: Array) -> Array:
 
 
 def _holding(block: RowBlock, lam: Array) -> NDArray[np.bool_]:
-    """Which rows a block holds with its multipliers; friction in joints counts as none."""
+    """Return which rows a block holds with its multipliers; friction in joints counts as none."""
     on: NDArray[np.bool_] = np.full(len(lam), block.law.is_rigid)
     if block.law.kind is Kind.CONE:
         normal, x, y = lam.reshape(-1, 3).T
@@ -249,15 +249,15 @@ def _holding(block: RowBlock, lam: Array) -> NDArray[np.bool_]:
 
 
 def _at_rest(A: Array, approach: Array) -> Array:
-    """Least loads >= 0 that end an approach [m/s^2], shape (n,)."""
+    """Return the least loads >= 0 that end an approach [m/s^2], shape (n,)."""
     loads, pushing = np.zeros(len(A)), np.arange(len(A))
     while len(pushing):
         block = A[np.ix_(pushing, pushing)]
-        found = np.linalg.lstsq(block, -approach[pushing], rcond=redundant(len(A)))[0]
-        if (found >= 0.0).all():
-            loads[pushing] = found
+        pressures = np.linalg.lstsq(block, -approach[pushing], rcond=redundant(len(A)))[0]
+        if (pressures >= 0.0).all():
+            loads[pushing] = pressures
             break
-        pushing = pushing[found > 0.0]
+        pushing = pushing[pressures > 0.0]
     return loads
 
 
@@ -271,11 +271,11 @@ def pressed_motion(
     k, now = system.k, system.evaluate(x, u)
     k.refresh(x.q, x.v, Reads.JACOBIAN)
     loads = [(part, part.multipliers(k, x)[::3].tolist()) for part in parts]
-    found = [Feature(part, i, f) for part, of in loads for i, f in enumerate(of) if f > 0.0]
-    if not found:
+    features = [Feature(part, i, f) for part, of in loads for i, f in enumerate(of) if f > 0.0]
+    if not features:
         return None
-    J = _rows(system, [feature[:2] for feature in found])
-    return ContactMotion(found, J.dot(_answer(system, x, now, J.T)))
+    J = _rows(system, [feature[:2] for feature in features])
+    return ContactMotion(features, J.dot(_answer(system, x, now, J.T)))
 
 
 class Feature(NamedTuple):
@@ -311,7 +311,7 @@ class ContactMotion:
         self.features, self.A = tuple(features), A
 
     def linear(self, share: float = 1.0) -> SpringMotion:
-        """The motion with a multiple of the stiffness of all contacts."""
+        """Return the motion with a multiple of the stiffness of all contacts."""
         k, c, kt, ct = self._slopes(share)
         normal, sides = self._normal, self._sides
         bent = np.flatnonzero(np.repeat(kt, 2))
@@ -327,7 +327,7 @@ class ContactMotion:
         return float(sizes[-1]), float(way.dot(c * way))
 
     def parted(self) -> list[ContactMotion]:
-        """The motions of contacts that do not move one another."""
+        """Return the motions of contacts that do not move one another."""
         size = np.sqrt(np.maximum(np.diag(self.A), 0.0))
         n = len(self.features)
         joined = np.abs(self.A) > _APART * np.outer(size, size)
@@ -347,7 +347,7 @@ class ContactMotion:
         return ContactMotion([self.features[i] for i in some], self.A[np.ix_(rows, rows)])
 
     def _slopes(self, share: float) -> Array:
-        """Stiffness and damping along normals, then tangents, shape (4, n)."""
+        """Return the stiffness and damping along normals, then tangents, shape (4, n)."""
         slopes: Array = np.array([f.part.slopes(f.slot, f.load, share) for f in self.features]).T
         return slopes
 
@@ -417,19 +417,19 @@ class Bouncer:
         self.chart, self.model = self, SimpleNamespace(nv=n, nq=n)
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """The q + dq."""
+        """Return q + dq."""
         return q + dq
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The q1 - q0."""
+        """Return the q1 - q0."""
         return q1 - q0
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """The v."""
+        """Return the v."""
         return v
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """Forces of the springs that are pressed."""
+        """Return forces of the springs that are pressed."""
 
         def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             out[:] = np.where(q < 0.0, np.maximum(-self._a * q - self._b * v, 0.0), 0.0)

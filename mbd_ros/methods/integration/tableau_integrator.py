@@ -31,7 +31,7 @@ class ExplicitRungeKutta(Integrator):
             self.stable = math.inf
 
     def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
+        """Return the factor by which a step multiplies a linear motion at most."""
         return runge_kutta_growth(self.tableau, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:

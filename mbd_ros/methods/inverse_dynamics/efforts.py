@@ -1,4 +1,4 @@
-"""Unknowns of inverse dynamics: efforts within limits, their order and their cost."""
+"""Unknown efforts and multipliers of inverse dynamics: order, bounds and cost."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.inverse_dynamics.force_split import Wish
+from mbd_ros.methods.inverse_dynamics.force_split import ForceTarget
 
 Columns = Callable[[Kinematics, State], Array]
-_NAMED = 0.3  # share of a joint in a direction, of the largest, to be named
-_SHOWN = 4  # joints in a message
-_DIGITS = 9  # of shares that differ; beyond them is rounding
-_LISTED = 12  # names in a message
+_DOMINANT = 0.3  # least share of a named joint in a motion, relative to the largest share
+_MAX_JOINTS = 4  # in a message
+_DIGITS = 9  # shares that agree to so many digits differ by rounding
+_MAX_NAMES = 12  # in a message
 Mask = NDArray[np.bool_]
 
 
 class Efforts(NamedTuple):
-    """Inputs u that exert B u + rest on the joints.
+    """Inputs u that exert the generalized force B u + b0.
 
-    Where a motion does not determine them, those with the least sum of
-    (weight (u - target))^2 are taken.
+    Where a motion does not determine them, the inputs with the least sum of
+    (weight (u - target))^2 are chosen.
 
     Attributes:
-        names: One a column; of efforts of joints the joints.
-        columns: B at a state, shape (nv, n).
-        lower: Smallest values, -inf without, shape (n,).
-        upper: Largest values, inf without, shape (n,).
-        weight: Of the cost [1 per unit of u], > 0, shape (n,).
-        target: Of the cost, shape (n,).
-        reads: What `columns` and `rest` read of k.
-        rest: What they exert at u = 0, at a state, shape (nv,); None for nothing.
+        names: Name of each input; for efforts of joints, that of the joint.
+        columns: Function that returns B at a state, shape (nv, n).
+        lower: Lower bounds, -inf where there is none, shape (n,).
+        upper: Upper bounds, inf where there is none, shape (n,).
+        weight: Weight of each input in the cost [1 per unit of u], > 0, shape (n,).
+        target: Value of each input at which its cost is 0, shape (n,).
+        reads: Level of kinematics that `columns` and `offset` read.
+        offset: Function that returns b0, the force at u = 0, shape (nv,); None if that is zero.
     """
 
     names: tuple[str, ...]
@@ -51,37 +51,40 @@ class Efforts(NamedTuple):
     weight: Array
     target: Array
     reads: Reads = Reads.NOTHING
-    rest: Columns | None = None
+    offset: Columns | None = None
 
 
 def joint_efforts(
     robot: Robot, joints: Sequence[str], limits: Sequence[float] | None = None
 ) -> Efforts:
-    """Efforts of joints [N·m or N], of smallest Euclidean norm in SI numbers.
+    """Return one effort [N·m or N] for each joint, with unit weights in the cost.
 
     Args:
-        joints: Different joints of it.
-        limits: Largest effort of each [N·m or N], > 0; without it there is none.
+        joints: Names of the actuated joints, each at most once.
+        limits: Largest effort of each joint [N·m or N], > 0; None for unbounded efforts.
 
     Raises:
         ModelError: Unknown or repeated joint, or a limit that is not positive.
     """
     names, n = tuple(joints), len(joints)
     if len(set(names)) < n:
-        raise ModelError(f"actuated joints {', '.join(names)} must be different joints")
+        raise ModelError(f"actuated joints must differ, but are {', '.join(names)}")
     B = np.zeros((int(robot.model.nv), n))
     B[[robot.joint(name).v for name in names], range(n)] = 1.0
     upper = np.full(n, np.inf) if limits is None else np.array(limits, dtype=np.float64)
     if upper.shape != (n,) or not (upper > 0.0).all():
-        raise ModelError(f"limits {upper.tolist()} must be one number > 0 for each of {n} joints")
+        raise ModelError(
+            f"effort limits must be {n} numbers > 0, one a joint, but are {upper.tolist()}"
+        )
     return Efforts(names, lambda k, x: B, -upper, upper, np.ones(n), np.zeros(n))
 
 
 def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
-    """Inputs of loads that are affine in them, within the bounds of their channels.
+    """Return the inputs of loads whose force is affine in them, bounded as their channels are.
 
     Args:
-        loads: Actuators and other loads with inputs; they are no force terms of the problem then.
+        loads: Actuators and other loads with inputs. They must not appear again among the force
+            terms of the problem.
 
     Raises:
         ModelError: A load that is not affine in its inputs, or that has internal states.
@@ -94,27 +97,32 @@ def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
     for part in affine:
         name = part.name or type(part).__name__
         if part.internal:
-            raise ModelError(f"{name} has internal states, which a motion does not show")
+            raise ModelError(
+                f"{name} has internal states, which inverse dynamics cannot find from a motion"
+            )
         if part.columns(k, neutral) is None:
-            raise ModelError(f"the force of {name} is not affine in its inputs")
+            raise ModelError(
+                f"the force of {name} is not affine in its inputs, as inverse dynamics needs it"
+            )
     idle, n = np.zeros(len(inputs.names)), len(inputs.names)
 
     def columns(k: Kinematics, x: State) -> Array:
         none = np.zeros((len(x.v), 0))
         return np.concatenate([none, *(part.columns(k, x) for part in affine)], axis=1)
 
-    def rest(k: Kinematics, x: State) -> Array:
+    def offset(k: Kinematics, x: State) -> Array:
         return np.sum([np.zeros(len(x.v)), *(part.force(k, x, idle) for part in affine)], axis=0)
 
     lower = np.array([channel.lower for channel in inputs.channels], dtype=np.float64)
     upper = np.array([channel.upper for channel in inputs.channels], dtype=np.float64)
-    return Efforts(inputs.names, columns, lower, upper, np.ones(n), np.zeros(n), reads, rest)
+    return Efforts(inputs.names, columns, lower, upper, np.ones(n), np.zeros(n), reads, offset)
 
 
 class Unknowns:
-    """Efforts, multipliers of drives, then those of all other rows.
+    """Order of the unknowns: inputs, multipliers of drives, then multipliers of all other rows.
 
-    A solver finds y = weight (x - target), whose norm is the cost.
+    A solver works with the scaled unknowns y = weight (value - target), whose norm is the cost.
+    Methods take a mask, shape (n,): which of the unknowns y contains.
 
     Args:
         efforts: The unknown inputs.
@@ -122,11 +130,11 @@ class Unknowns:
         with_bounds: Whether efforts and drives keep their bounds.
 
     Attributes:
-        labels: `<effort>.effort` and names of rows, shape (n,).
-        place: Where each stands among efforts, then multipliers, shape (n,).
-        efforts: How many come before the rows: inputs and drives.
-        weight: Shape (n,), 1 but for inputs.
-        target: Shape (n,), 0 but for inputs.
+        labels: `<effort>.effort` or the name of the row, shape (n,).
+        place: Index of each among the inputs followed by the multipliers, shape (n,).
+        efforts: Number of inputs and drives, which come first.
+        weight: Weight of each in the cost, 1 for multipliers, shape (n,).
+        target: Value of each at which its cost is 0; 0 for multipliers, shape (n,).
     """
 
     def __init__(
@@ -149,80 +157,83 @@ class Unknowns:
         self._lower = efforts.lower, constraints.lower  # the latter change with the state
         self._upper = efforts.upper, constraints.upper
         self._bounded = slice(None if with_bounds else self.efforts, None)
-        found = np.argsort(self.place)[na:]
-        slots = [found[cone.slots] for cone in constraints.cones]
+        index_of_row = np.argsort(self.place)[na:]
+        slots = [index_of_row[cone.slots] for cone in constraints.cones]
         self._cones = np.array(slots, dtype=np.intp).reshape(-1, 3)
         self._mu = np.array([cone.mu for cone in constraints.cones])
 
-    def limits(self, asked: Mask) -> Limits:
-        """Bounds and cones of the y of those that are asked for, as the rows are limited now."""
+    def limits(self, mask: Mask) -> Limits:
+        """Return bounds and friction cones of y, with the present limits of the rows."""
         n, mine = len(self.place), self._bounded
         lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
         for ends, of in ((lower, self._lower), (upper, self._upper)):
-            whole = self.weight * (np.concatenate(of)[self.place] - self.target)
-            ends[mine] = whole[mine]
-        stands = asked[self._cones[:, 0]] if len(self._cones) else np.zeros(0, np.bool_)
-        at = np.cumsum(asked) - 1
+            scaled = self.weight * (np.concatenate(of)[self.place] - self.target)
+            ends[mine] = scaled[mine]
+        stands = mask[self._cones[:, 0]] if len(self._cones) else np.zeros(0, np.bool_)
+        at = np.cumsum(mask) - 1
         cones = at[self._cones[stands]].reshape(-1, 3)
-        return Limits(lower[asked], upper[asked], cones, self._mu[stands])
+        return Limits(lower[mask], upper[mask], cones, self._mu[stands])
 
     @property
     def of_contacts(self) -> Mask:
-        """Which are forces of contacts, shape (n,)."""
+        """Which unknowns are forces of contacts, shape (n,)."""
         are = np.zeros(len(self.place), np.bool_)
         are[self._cones.ravel()] = True
         return are
 
-    def wished(self, asked: Mask, wish: Wish) -> Wish:
-        """A wish of the forces of all contacts as one of those that are asked for."""
-        S = np.zeros((len(wish.S), len(self.place)))
-        S[:, self._cones.ravel()] = wish.S
-        return Wish(S[:, asked], wish.target)
+    def expand_target(self, mask: Mask, target: ForceTarget) -> ForceTarget:
+        """Express a target for the forces of all contacts as one for y."""
+        S = np.zeros((len(target.S), len(self.place)))
+        S[:, self._cones.ravel()] = target.S
+        return ForceTarget(S[:, mask], target.values)
 
-    def filled(self, known: Array, asked: Mask, y: Array) -> Array:
-        """Efforts, then multipliers, shape (na + m,).
+    def fill(self, known: Array, mask: Mask, y: Array) -> Array:
+        """Return all inputs, then all multipliers, shape (na + m,).
 
         Args:
-            known: Those that are not asked for, 0 elsewhere, shape (na + m,).
-            asked: Which unknowns y has, shape (n,).
+            known: Values of those that y does not contain, 0 elsewhere, shape (na + m,).
+            mask: Which unknowns y contains, shape (n,).
+            y: Scaled unknowns, shape (mask.sum(),).
         """
         forces = known.copy()
-        forces[self.place[asked]] = self.target[asked] + y / self.weight[asked]
+        forces[self.place[mask]] = self.target[mask] + y / self.weight[mask]
         return forces
 
-    def basis(self, asked: Mask, null: Array) -> Array:
-        """Directions of y as those of efforts, then multipliers, shape (na + m, k)."""
+    def basis(self, mask: Mask, null: Array) -> Array:
+        """Convert directions of y to directions of inputs and multipliers, shape (na + m, k)."""
         directions = np.zeros((len(self.place), null.shape[1]))
-        directions[self.place[asked]] = null / self.weight[asked, None]
+        directions[self.place[mask]] = null / self.weight[mask, None]
         return directions
 
-    def named(self, asked: Mask, chosen: Mask) -> tuple[str, ...]:
-        """Labels of some of those that are asked for, which `chosen` has one entry for."""
-        return tuple(self.labels[i] for i in asked.nonzero()[0][chosen])
+    def select_labels(self, mask: Mask, chosen: Mask) -> tuple[str, ...]:
+        """Return the labels of the entries of y that `chosen` selects."""
+        return tuple(self.labels[i] for i in mask.nonzero()[0][chosen])
 
 
-def unreachable(
+def unreachable_message(
     labels: Sequence[str], joints: Sequence[str], share: float, at_toggle: bool
 ) -> str:
-    """Message for a motion that efforts cannot produce.
+    """Return the error message for a motion that the actuators cannot produce.
 
     Args:
-        labels: `<effort>.effort` of all.
-        joints: Those that move in what is left.
-        share: Of the forces at work that is left.
+        labels: `<effort>.effort` of all actuators.
+        joints: Joints that the residual force accelerates most.
+        share: Norm of the residual force relative to all forces of the motion.
         at_toggle: Whether the mechanism is at a toggle.
     """
     by = ", ".join(label.rpartition(".")[0] for label in labels) or "none"
     toggle = "; the mechanism is at a toggle" if at_toggle else ""
     return (
-        f"the actuators ({by}) cannot produce this motion: {share:.2g} of the forces at work are "
-        f"without an actuator, along {', '.join(joints)}; these need an actuator, or the motion "
-        f"better derivatives{toggle}"
+        f"the actuators ({by}) cannot produce this motion: a share of {share:.2g} of the forces "
+        f"at work is left without an actuator, along {', '.join(joints)}; add an actuator there "
+        f"or improve the derivatives of the motion{toggle}"
     )
 
 
-def movers(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
-    """Joints that carry most of some motions by kinetic energy, equal ones in the robot's order.
+def dominant_joints(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
+    """Return the joints with the largest share in the kinetic energy of some motions.
+
+    Joints with equal shares come in the order of the robot.
 
     Args:
         directions: Motions, one a column, shape (nv, k).
@@ -232,19 +243,19 @@ def movers(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
     share: Any = np.sqrt(M.diagonal()) * np.linalg.norm(directions, axis=1)
     share = np.round(share / max(share.max(), TINY), _DIGITS)
     order = np.argsort(-share, kind="stable")
-    chosen = [int(i) for i in order if share[i] > _NAMED * share.max() > 0.0]
-    return tuple(dict.fromkeys(names[i] for i in chosen))[:_SHOWN]
+    chosen = [int(i) for i in order if share[i] > _DOMINANT * share.max() > 0.0]
+    return tuple(dict.fromkeys(names[i] for i in chosen))[:_MAX_JOINTS]
 
 
-class Reach(NamedTuple):
-    """The reach of the actuators at a state.
+class ActuationReach(NamedTuple):
+    """Which motions of a mechanism its actuators can accelerate at a state.
 
     Attributes:
-        freedom: Motions that the rows allow.
-        driven: How many of them the efforts reach.
-        undriven: Joints that move in the others.
-        null_space: As in `Torques`.
-        undetermined: As in `Torques`.
+        freedom: Number of independent motions that the constraints allow.
+        driven: Number of these that the efforts can accelerate.
+        undriven: Joints that move most in the others.
+        null_space: Dimension of the efforts and multipliers that together exert nothing.
+        undetermined: `<joint>.effort` and names of rows that take part in it.
     """
 
     freedom: int
@@ -254,7 +265,7 @@ class Reach(NamedTuple):
     undetermined: tuple[str, ...]
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names for a message, the first ones of many."""
-    rest = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {rest} more" if rest > 0 else "")
+def join_names(names: Sequence[str]) -> str:
+    """Join names for a message; a long list is cut after the first ones."""
+    more = len(names) - _MAX_NAMES
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")

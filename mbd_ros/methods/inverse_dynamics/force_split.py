@@ -1,4 +1,4 @@
-"""A force on all joints split into efforts of actuators and multipliers of constraints.
+"""Split of a generalized force into efforts of actuators and multipliers of constraints.
 
     E e + J' lam = b
 
@@ -20,33 +20,32 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import SolveError
 
-_NOTHING = 1.0e-3  # norm of rates below which they count as rest
-_TAKES_PART = 1.0e-6  # share of an unknown in the null space; rounding leaves 1e-9 there
+_REST_RATE = 1.0e-3  # scaled rates of rows below this norm count as rest
+_TAKES_PART = 1.0e-6  # least share of an unknown in the null space; rounding leaves 1e-9 there
 _FREE = -np.inf, np.inf
-_KEPT = 1.0e-9  # of the largest force, by which limits of contacts may be passed
-_WEIGHTS = 1.0, 1.0e-3, 1.0e-6, 1.0e-8  # of what comes first, and then
+_BOUND_TOLERANCE = 1.0e-9  # excess over a limit of a contact, relative to the largest force
+_PRIORITIES = 1.0, 1.0e-3, 1.0e-6, 1.0e-8  # weights of the goals, the most important one first
 
 
 class ForceSplit:
-    """Factors of one state.
+    """Factorization of E e + J' lam = b at one state.
 
-    Efforts come first: the e of smallest Euclidean norm in SI numbers that fits, which does not
-    depend on how the constraints are written down. Then comes, for this e, the lam of smallest
-    norm. Ranks are those of columns scaled in the metric M^-1, so that units play no
-    role in them.
+    The effort e has the smallest Euclidean norm in SI numbers among those that fit, which does not
+    depend on how the constraints are formulated. For this e, lam has the smallest norm. Ranks are
+    those of columns scaled in the metric M^-1, so that units have no influence on them.
 
     Args:
         M: Mass matrix, shape (nv, nv).
-        E: Force of every effort, one a column, shape (nv, ne).
-        J: Rows, shape (m, nv).
-        usual: Usual norm of each column of E and J', shape (ne + m,); it separates a column that
-            vanishes at a toggle from one that is small everywhere.
+        E: Generalized force of every effort, one a column, shape (nv, ne).
+        J: Constraint Jacobian, shape (m, nv).
+        usual: Characteristic norm of each column of E and J', shape (ne + m,). It distinguishes a
+            column that vanishes at a toggle from one that is small everywhere.
 
     Attributes:
-        freedom: Motions that the rows allow.
-        driven: How many of them the efforts reach.
-        rank: How many independent forces efforts and multipliers exert together.
-        null_space: Dimension of the (e, lam) that exert nothing together.
+        freedom: Number of independent motions that the constraints allow.
+        driven: Number of these that the efforts can accelerate.
+        rank: Number of independent forces that efforts and multipliers exert together.
+        null_space: Dimension of the (e, lam) that together exert no force.
         condition: Largest ratio of singular values; beyond 1e6 the result is unreliable.
 
     Raises:
@@ -72,35 +71,35 @@ class ForceSplit:
         self.condition = max(self._rows.condition, self._efforts.condition)
 
     def solve(self, b: Array) -> Split:
-        """Efforts and multipliers of a force on all joints, shape (nv,)."""
+        """Split a generalized force b, shape (nv,), with one step of iterative refinement."""
         e, lam = self._solve(b)
         more_e, more_lam = self._solve(b - self._E.dot(e) - self._J.T.dot(lam))
-        return self.left(b, e + more_e, lam + more_lam)
+        return self.evaluate(b, e + more_e, lam + more_lam)
 
-    def left(self, b: Array, e: Array, lam: Array) -> Split:
-        """What efforts and multipliers leave of a force on all joints, shape (nv,)."""
-        left = np.linalg.solve(self._L, b - self._E.dot(e) - self._J.T.dot(lam))
-        share = float(np.linalg.norm(left))
-        return Split(e, lam, np.linalg.solve(self._L.T, left), share)
+    def evaluate(self, b: Array, e: Array, lam: Array) -> Split:
+        """Return a split of b, shape (nv,), with its residual."""
+        weighted = np.linalg.solve(self._L, b - self._E.dot(e) - self._J.T.dot(lam))
+        norm = float(np.linalg.norm(weighted))
+        return Split(e, lam, np.linalg.solve(self._L.T, weighted), norm)
 
     def norm(self, b: Array) -> float:
-        """Size of a force on all joints in the metric of `Split.share`."""
+        """Return the norm of a generalized force in the metric M^-1."""
         return float(np.linalg.norm(np.linalg.solve(self._L, b)))
 
     def null_basis(self) -> Array:
-        """Efforts above multipliers that together exert nothing, shape (ne + m, null_space)."""
+        """Return a basis of the (e, lam) that exert no force, shape (ne + m, null_space)."""
         efforts, size = self._efforts.null, len(self._size)
         if not self.null_space:
             return np.zeros((size, 0))
-        held = -self._rows.solve(np.linalg.solve(self._L, self._E.dot(efforts)))
+        reaction = -self._rows.solve(np.linalg.solve(self._L, self._E.dot(efforts)))
         basis, (n, k) = np.zeros((size, self.null_space)), efforts.shape
-        basis[:n, :k], basis[n:, :k], basis[n:, k:] = efforts, held, self._rows.null
+        basis[:n, :k], basis[n:, :k], basis[n:, k:] = efforts, reaction, self._rows.null
         return basis
 
-    def out_of_reach(self, b: Array, R: Array) -> Array:
-        """Smallest forces along R that bring b into the reach of the efforts, shape (k,).
+    def base_residual(self, b: Array, R: Array) -> Array:
+        """Return the smallest forces r such that the efforts can exert b - R r, shape (k,).
 
-        Smallest in the metric M^-1: moments of a base and its forces count as what they do.
+        They are smallest in the metric M^-1, which makes forces and moments of a base comparable.
 
         Args:
             b: Force on all joints, shape (nv,).
@@ -108,15 +107,15 @@ class ForceSplit:
         """
         Q, T = self._normalised(R)
         beyond = self._efforts.outside.T.dot(self._Z.T)
-        lacking = beyond.dot(np.linalg.solve(self._L, b))
-        shortest: Any = np.linalg.lstsq(beyond.dot(Q), lacking, rcond=SINGULAR)[0]
+        unreached = beyond.dot(np.linalg.solve(self._L, b))
+        shortest: Any = np.linalg.lstsq(beyond.dot(Q), unreached, rcond=SINGULAR)[0]
         forces: Array = np.linalg.solve(T, shortest)
         return forces
 
-    def beside(self, R: Array) -> tuple[ForceSplit, Array]:
-        """A split with forces along R before the efforts, and the T of r = T^-1 (their values).
+    def with_base_forces(self, R: Array) -> tuple[ForceSplit, Array]:
+        """Return a factorization with base forces before the efforts, and their scaling T.
 
-        The values have the norm of r in the metric M^-1.
+        The unknowns are s = T r, whose Euclidean norm is that of R r in the metric M^-1.
 
         Args:
             R: Independent forces, one a column, shape (nv, k).
@@ -127,125 +126,127 @@ class ForceSplit:
         return ForceSplit(self._L.dot(self._L.T), E, self._J, size), T
 
     def _normalised(self, R: Array) -> tuple[Array, Array]:
-        """Q and T with L^-1 R = Q T."""
+        """Return the QR factors Q and T of L^-1 R."""
         Q, T = np.linalg.qr(np.linalg.solve(self._L, R))
         return Q, T
 
     def undetermined(self, basis: Array) -> NDArray[np.bool_]:
-        """Which efforts, then multipliers, take part in a `null_basis`, shape (ne + m,)."""
+        """Return which efforts and multipliers take part in a `null_basis`, shape (ne + m,)."""
         share = np.linalg.norm(basis * self._size[:, None], axis=1)
         return share > _TAKES_PART
 
     def motions(self) -> Array:
-        """Motions that the rows allow, Z' M Z = 1, one a column."""
+        """Return the motions that the constraints allow, Z' M Z = 1, one a column."""
         return np.linalg.solve(self._L.T, self._Z)
 
     def undriven(self) -> Array:
-        """Motions that the rows allow and no effort reaches, Z' M Z = 1, one a column."""
+        """Return the allowed motions that no effort can accelerate, Z' M Z = 1, one a column."""
         return np.linalg.solve(self._L.T, self._Z.dot(self._efforts.outside))
 
     def violation(self, r: Array, terms: Array) -> float:
-        """How far rates of the rows are from zero, toggles apart.
+        """Return how far rates of the rows are from zero, without directions lost at a toggle.
 
         Args:
-            r: Rates, shape (m,).
-            terms: Size of the terms that should cancel in them, shape (m,).
+            r: Rates of the rows, shape (m,).
+            terms: Size of the terms that should cancel in each rate, shape (m,).
 
         Returns:
-            Their norm as a share of that of the terms.
+            Norm of the rates, relative to the norm of the terms.
         """
-        off = float(np.linalg.norm(self._rows.within(r)))
-        return off / max(self._rows.size(terms), _NOTHING)
+        deviation = float(np.linalg.norm(self._rows.project(r)))
+        return deviation / max(self._rows.norm(terms), _REST_RATE)
 
     def _solve(self, b: Array) -> tuple[Array, Array]:
         weighted = np.linalg.solve(self._L, b)
         e = self._efforts.solve(self._Z.T.dot(weighted))
-        rest = np.linalg.solve(self._L, b - self._E.dot(e))
-        return e, self._rows.solve(rest)
+        remainder = np.linalg.solve(self._L, b - self._E.dot(e))
+        return e, self._rows.solve(remainder)
 
 
 class _Inverse:
-    """Pseudoinverse of a matrix A, given as W = A scale, with the null space of A.
+    """Pseudoinverse and null space of a matrix A, from its scaled form W = A scale.
 
     Attributes:
-        outside: Orthonormal directions that A does not reach, one a column.
-        null: Combinations of columns of A that cancel, orthonormal before scaling.
+        outside: Orthonormal basis of the complement of the range of A, one vector a column.
+        null: Basis of the null space of A, orthonormal before scaling.
     """
 
     def __init__(self, W: Array, scale: Array) -> None:
         U, s, Vt = np.linalg.svd(W)
-        rank = rank_of(s)
+        rank = numerical_rank(s)
         self.rank, self.outside = rank, U[:, rank:]
         self.condition = float(s[0] / s[rank - 1]) if rank else 1.0
-        self._reached, self._V, self._scale = U[:, :rank], Vt[:rank].T, scale
+        self._range, self._V, self._scale = U[:, :rank], Vt[:rank].T, scale
         self._inverse = scale[:, None] * self._V / s[:rank]
         self.null = scale[:, None] * Vt[rank:].T
-        self._silent, _ = np.linalg.qr(self.null)
+        self._null_directions, _ = np.linalg.qr(self.null)
 
     def solve(self, b: Array) -> Array:
-        """The x of smallest norm with A x nearest to b, shape (n,) or (n, k)."""
-        x = self._inverse.dot(self._reached.T.dot(b))
-        return x - self._silent.dot(self._silent.T.dot(x))
+        """Return the least-squares solution of A x = b of smallest norm, shape (n,) or (n, k)."""
+        x = self._inverse.dot(self._range.T.dot(b))
+        return x - self._null_directions.dot(self._null_directions.T.dot(x))
 
-    def within(self, r: Array) -> Array:
-        """The part of r, scaled, that A' can change."""
+    def project(self, r: Array) -> Array:
+        """Return the coordinates of the scaled r in the row space of A."""
         return self._V.T.dot(self._scale * r)
 
-    def size(self, r: Array) -> float:
-        """Norm of r, scaled."""
+    def norm(self, r: Array) -> float:
+        """Return the norm of the scaled r."""
         return float(np.linalg.norm(self._scale * r))
 
 
-def rank_of(sizes: Array) -> int:
-    """How many singular values of scaled columns are none that a toggle or rounding left."""
+def numerical_rank(sizes: Array) -> int:
+    """Count the singular values of scaled columns that exceed rounding and toggles."""
     return int(np.count_nonzero(sizes > SINGULAR * max(1.0, sizes.max(initial=0.0))))
 
 
 class Split(NamedTuple):
-    """Efforts and multipliers of a force on all joints.
+    """Efforts and multipliers that exert a generalized force, and their residual.
 
     Attributes:
         efforts: e [N·m or N], shape (ne,).
         multipliers: lam, shape (m,).
-        left: The rest, which neither can exert, as an acceleration of the motions that the rows
-            allow: M^-1 (b - E e - J' lam), shape (nv,).
-        share: Norm of that in the mass metric, the square root of a work per mass.
+        residual: Acceleration that the remaining force would cause, M^-1 (b - E e - J' lam), shape
+            (nv,).
+        residual_norm: Norm of the remaining force in the metric M^-1.
     """
 
     efforts: Array
     multipliers: Array
-    left: Array
-    share: float
+    residual: Array
+    residual_norm: float
 
 
-def within_bounds(
+def split_within_bounds(
     split: ForceSplit,
     b: Array,
-    found: Split,
+    unbounded: Split,
     bases: tuple[Array, Array],
     limits: Limits,
-    wish: Wish | None = None,
-) -> Within:
-    """Keep bounds: with the least residual of free bases, then efforts, then multipliers.
+    target: ForceTarget | None = None,
+) -> BoundedSplit:
+    """Split a force within bounds, with the least base residual, then efforts, then multipliers.
 
     Args:
-        split: Factors of the equation.
-        b: The force that is split, shape (nv,).
-        found: The answer without bounds.
+        split: Factorization of the equation.
+        b: Generalized force to split, shape (nv,).
+        unbounded: Split of b without bounds.
         bases: Columns R of free bases, shape (nv, k), and the residual without bounds, (k,).
-        limits: Of efforts, then multipliers.
-        wish: What comes right after the residual.
+        limits: Bounds and cones of the efforts, then the multipliers.
+        target: Goal that ranks right after the base residual.
     """
-    (R, r), ne = bases, len(found.efforts)
-    y = np.concatenate((found.efforts, found.multipliers))
-    slack = _KEPT * (1.0 + float(np.abs(y).max(initial=0.0))) if len(limits.mu) else 0.0
-    if wish is None and (limits.excess(y) <= slack).all():
-        return Within(found, r, True)
+    (R, r), ne = bases, len(unbounded.efforts)
+    y = np.concatenate((unbounded.efforts, unbounded.multipliers))
+    slack = _BOUND_TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0))) if len(limits.mu) else 0.0
+    if target is None and (limits.excess(y) <= slack).all():
+        return BoundedSplit(unbounded, r, True)
     groups = slice(0, ne), slice(ne, None)
-    least = _least(y, _directions(split), groups, limits, wish)
+    least = _least(y, _directions(split), groups, limits, target)
     if not least.is_within and len(r):
-        least, r = _with_bases(split, y, bases, limits, ne, wish)
-    return Within(split.left(b - R.dot(r), least.z[:ne], least.z[ne:]), r, least.is_within)
+        least, r = _with_bases(split, y, bases, limits, ne, target)
+    return BoundedSplit(
+        split.evaluate(b - R.dot(r), least.z[:ne], least.z[ne:]), r, least.is_within
+    )
 
 
 def _least(
@@ -253,23 +254,23 @@ def _least(
     N: Array,
     groups: Sequence[slice],
     limits: Limits,
-    wish: Wish | None = None,
+    target: ForceTarget | None = None,
     first: int = 0,
 ) -> Least:
-    """Least norms within limits; a wish comes after the first group, if that is of bases."""
-    if wish is None and not len(limits.mu):
+    """Minimize norms group by group within limits; a target ranks right after base forces."""
+    if target is None and not len(limits.mu):
         return least_in_bounds(z, N, groups, limits.lower, limits.upper)
     every, nothing = np.eye(len(z)), np.zeros(len(z))
     rows = [(every[group], nothing[group]) for group in groups]
-    if wish is not None:
-        rows.insert(1 if first else 0, wish)
-    weighted = zip(_WEIGHTS, rows, strict=False)
+    if target is not None:
+        rows.insert(1 if first else 0, target)
+    weighted = zip(_PRIORITIES, rows, strict=False)
     A, c = zip(*((weight * A, weight * c) for weight, (A, c) in weighted), strict=True)
     return Least(*least_in_cones(z, N, np.concatenate(A), np.concatenate(c), limits))
 
 
 def _directions(split: ForceSplit) -> Array:
-    """Orthonormal directions of what exerts nothing."""
+    """Return an orthonormal basis of the (e, lam) that exert no force."""
     return np.asarray(np.linalg.qr(split.null_basis())[0], dtype=np.float64)
 
 
@@ -279,33 +280,34 @@ def _with_bases(
     bases: tuple[Array, Array],
     limits: Limits,
     ne: int,
-    wish: Wish | None,
+    target: ForceTarget | None,
 ) -> tuple[Least, Array]:
-    """The same where free bases take what the bounds leave."""
+    """Minimize with base forces as additional unknowns, where bounds leave a remainder."""
     R, r = bases
     k = len(r)
-    wide, T = split.beside(R)
+    wide, T = split.with_base_forces(R)
     groups = slice(0, k), slice(k, k + ne), slice(k + ne, None)
     lower, upper = (
         np.concatenate((np.full(k, end), ends))
         for end, ends in zip(_FREE, limits[:2], strict=True)
     )
-    if wish is not None:
-        wish = Wish(np.concatenate((np.zeros((len(wish.S), k)), wish.S), axis=1), wish.target)
+    if target is not None:
+        target = ForceTarget(
+            np.concatenate((np.zeros((len(target.S), k)), target.S), axis=1), target.values
+        )
     wider = Limits(lower, upper, limits.cones + k, limits.mu)
-    least = _least(np.concatenate((T.dot(r), y)), _directions(wide), groups, wider, wish, k)
+    least = _least(np.concatenate((T.dot(r), y)), _directions(wide), groups, wider, target, k)
     residual: Any = np.linalg.solve(T, least.z[:k])
     return least._replace(z=least.z[k:]), residual
 
 
-class Within(NamedTuple):
-    """Forces that are as small as bounds let them be.
+class BoundedSplit(NamedTuple):
+    """Smallest forces within bounds.
 
     Attributes:
         split: Efforts and multipliers.
-        residual: Forces of free bases, shape (k,).
-        is_within: Whether the bounds are kept; otherwise they cannot be, and the excess is the
-            least.
+        residual: Residual forces of free bases, shape (k,).
+        is_within: Whether all bounds hold; if they cannot, the excess is the least possible.
     """
 
     split: Split
@@ -313,13 +315,13 @@ class Within(NamedTuple):
     is_within: bool
 
 
-class Wish(NamedTuple):
-    """Numbers S y that come as near to a target as they can, before anything is small.
+class ForceTarget(NamedTuple):
+    """Goal S y = values, met in the least-squares sense before norms are minimized.
 
     Attributes:
-        S: Shape (k, n).
-        target: Shape (k,).
+        S: Matrix of the goal, shape (k, n).
+        values: Values to approach, shape (k,).
     """
 
     S: Array
-    target: Array
+    values: Array

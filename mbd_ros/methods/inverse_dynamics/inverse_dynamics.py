@@ -1,8 +1,9 @@
-"""Motion and external loads -> torques of the independent coordinates and coupling multipliers.
+"""Inverse dynamics: torques of the independent coordinates and multipliers of couplings.
 
     tau_y = G' (rnea(F(y), G y', G y'' + dG/dt y') - sum J' w - sum f + sum M_f a)
 
-with w the external wrenches, f the force terms of the scene and M_f the inertia that some add.
+Here w are external wrenches, f force terms of the scene and M_f the inertia that some of them add;
+y are the independent coordinates, q = F(y) and G = dF/dy.
 """
 
 from __future__ import annotations
@@ -27,31 +28,31 @@ from mbd_ros.errors import ModelError
 NO_BASIS: Array = np.zeros((0, 0))
 NO_BASIS.setflags(write=False)
 _BLOCK = 256  # samples whose Jacobians stay in the cache
-_Poses = dict[int, tuple[Array, Array]]  # joint -> rotations and places in the world
+_Poses = dict[int, tuple[Array, Array]]  # joint -> its rotations and origins in the world
 _CHUNK = 2048  # samples
 
 
 class InverseDynamics:
     """Inverse dynamics with dependent joints and external wrenches.
 
-    One instance owns one Pinocchio `Data`: not for two threads. Nothing is allocated in a call but
-    its result and what the Pinocchio bindings return.
+    One instance owns one Pinocchio `Data` and must not be shared between threads. A call allocates
+    only its result and what the Pinocchio bindings return.
 
     Args:
-        couplings: Its dependent joints.
+        couplings: Dependent joints.
         wrenches: External loads, in the order in which `solve` takes their values.
         forces: Force terms of the scene.
 
     Attributes:
         configuration: q = F(y) of the last `solve` of a coupled or loaded robot, a live view
             (nq,).
-        rows: Names of the dependent joints, which the multipliers belong to.
+        rows: Names of the multipliers, which are those of the dependent joints.
         needed: Joints that must be measured: the independent ones.
-        moved: 0, since there are no loops; see `SampleSolver`.
+        correction: 0, since there are no loops onto which a sample could be projected.
         gap: Zeros, shape (n_d,).
     """
 
-    moved = 0.0
+    correction = 0.0
 
     def __init__(
         self,
@@ -60,16 +61,21 @@ class InverseDynamics:
         wrenches: Sequence[ExternalWrench] = (),
         forces: Sequence[Load] = (),
     ) -> None:
-        self.couplings, self.rows = couplings, couplings.dependent
-        self.needed, self.gap = couplings.independent, np.zeros(len(couplings.dependent))
-        self.wrenches, self.forces = tuple(wrenches), tuple(forces)
+        self.couplings = couplings
+        self.rows = couplings.dependent
+        self.needed = couplings.independent
+        self.gap = np.zeros(len(couplings.dependent))
+        self.wrenches = tuple(wrenches)
+        self.forces = tuple(forces)
         self._heavy = tuple(force for force in forces if force.has_inertia)
         read = (force.reads for force in forces)
         self._reads = max([Reads.POSITION, *read])  # wrenches read positions
-        self._model, self._data = robot.model, pin.Data(robot.model)
+        self._model = robot.model
+        self._data = pin.Data(robot.model)
         self._k = Kinematics(robot, self._data)
         self.configuration = self._q = pin.neutral(robot.model)
-        self._v, self._a = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+        self._v = np.zeros(robot.model.nv)
+        self._a = np.zeros(robot.model.nv)
         self._zero = np.zeros(robot.model.nv)
         self._slopes: Slopes = [0.0] * len(couplings.dependent)
         self._no_multipliers = np.empty(0)
@@ -80,12 +86,12 @@ class InverseDynamics:
         self._loads = BodyLoads(robot, self.wrenches)
         self._batch_loads: BatchLoads | None = None  # made for the first loaded batch
         self._robot = robot
-        self._pool: Any = None  # of models, made for the first batch
+        self._pool: Any = None  # pinocchio.ModelPool, made for the first batch
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> Torques:
-        """Torques of one sample, fresh arrays; see `SampleSolver.solve`."""
+        """Return the torques of one sample as new arrays, see `SampleSolver.solve`."""
         if self._is_free and len(wrenches) == 0:
             tau = pin.rnea(self._model, self._data, position, velocity, acceleration)
             residual = tau[self._base] if self._floats else NONE
@@ -96,7 +102,7 @@ class InverseDynamics:
     def expanded(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> Expanded:
-        """Torques of one sample with the motion of all joints; arguments as `solve`."""
+        """Return the torques of one sample with the motion of all joints, see `solve`."""
         self._expand(position, velocity, acceleration)
         full = self._full(wrenches)
         tau, _ = self.couplings.reduce(full, self._slopes)
@@ -105,7 +111,7 @@ class InverseDynamics:
     def components(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> TorqueComponents:
-        """Torques of one sample by cause; arguments as `solve`."""
+        """Return the torques of one sample by cause, for the arguments of `solve`."""
         self._expand(position, velocity, acceleration)
         model, data, q, v, a = self._model, self._data, self._q, self._v, self._a
         total = self._full(wrenches)
@@ -125,16 +131,13 @@ class InverseDynamics:
         acceleration: Array,
         wrenches: Sequence[Array] = (),
     ) -> Torques:
-        """Torques of many samples, one a row.
+        """Return the torques of many samples, one a row.
 
         Args:
-            position: shape (n, ny).
-            velocity: shape (n, nv_y).
-            acceleration: shape (n, nv_y).
-            wrenches: One (n, 6) array for every load of the scene; none means unloaded.
-
-        Returns:
-            Rows in the order of the samples.
+            position: y [rad or m], shape (n, ny).
+            velocity: y' [rad/s or m/s], shape (n, nv_y).
+            acceleration: y'' [rad/s^2 or m/s^2], shape (n, nv_y).
+            wrenches: One (n, 6) array [N, N·m] for every load of the scene; none means unloaded.
         """
         chunks = range(0, max(len(position), 1), _CHUNK)
         if self._pool is None:
@@ -149,11 +152,11 @@ class InverseDynamics:
             )
             for i in chunks
         ]
-        tau, multipliers = (np.concatenate(each) for each in zip(*chunked, strict=True))
+        tau, multipliers = (np.concatenate(part) for part in zip(*chunked, strict=True))
         return self._torques(tau, multipliers)
 
     def _torques(self, tau: Array, multipliers: Array) -> Torques:
-        """The result; of a free base it needs all, since nothing carries it."""
+        """Return the result, with all forces on a free base as its residual."""
         residual = tau[..., self._base] if self._floats else NONE
         return Torques(tau, multipliers, self._rank, residual)
 
@@ -165,7 +168,7 @@ class InverseDynamics:
         acceleration: Array,
         wrenches: Sequence[Array],
     ) -> tuple[Array, Array]:
-        """Torques of so many samples that they stay in the cache."""
+        """Return torques and multipliers of a block of samples that fits into the cache."""
         n, couplings = len(position), self.couplings
         nq, nv = self._model.nq, self._model.nv
         q, v, a = (np.empty((size, n), order="F") for size in (nq, nv, nv))
@@ -179,24 +182,24 @@ class InverseDynamics:
                 self._batch_loads = BatchLoads(self._robot, self.wrenches)
             tau -= self._batch_loads.forces(q, wrenches)
         if self.forces:
-            self._take_forces(tau, q, v, a)
+            self._subtract_forces(tau, q, v, a)
         reduced, multipliers = couplings.reduce(tau, slopes)
         return reduced.T, multipliers.T
 
-    def _take_forces(self, tau: Array, q: Array, v: Array, a: Array) -> None:
-        """Take the force terms of each sample, a column, from its torques."""
-        for i, (here, rate) in enumerate(zip(q.T, v.T, strict=True)):
-            self._k.refresh(here, rate, self._reads)
-            x = State(0.0, here, rate)
+    def _subtract_forces(self, tau: Array, q: Array, v: Array, a: Array) -> None:
+        """Subtract the force terms of each sample, a column, from its torques."""
+        for i, (sample_q, sample_v) in enumerate(zip(q.T, v.T, strict=True)):
+            self._k.refresh(sample_q, sample_v, self._reads)
+            x = State(0.0, sample_q, sample_v)
             for term in self.forces:
                 tau[:, i] -= term.force(self._k, x, NONE)
             for term in self._heavy:
                 tau[:, i] += term.inertia(self._k, x).dot(a[:, i])
 
     def doubts(self) -> list[str]:
-        """What is to be said about force terms at the last sample of `solve`."""
+        """Return warnings about the validity of force terms at the last sample of `solve`."""
         x = State(0.0, self._q, self._v)
-        return [said for term in self.forces if (said := term.doubt(x))]
+        return [doubt for term in self.forces if (doubt := term.doubt(x))]
 
     def _expand(self, position: Array, velocity: Array, acceleration: Array) -> None:
         couplings = self.couplings
@@ -206,7 +209,7 @@ class InverseDynamics:
         couplings.expand(self._q, self._v, self._a, self._slopes)
 
     def _full(self, wrenches: Sequence[Array]) -> Array:
-        """rnea(q, v, a) - sum J' w - sum f over all joints."""
+        """Return rnea(q, v, a) - sum J' w - sum f + sum M_f a of all joints."""
         if len(wrenches) == 0 and not self.forces:
             bare: Array = pin.rnea(self._model, self._data, self._q, self._v, self._a)
             return bare
@@ -224,14 +227,14 @@ class InverseDynamics:
 
 
 class Expanded(NamedTuple):
-    """One sample of all joints; all but the torques are live views.
+    """Motion of all joints at one sample, with its torques. All but the torques are live views.
 
     Attributes:
-        tau: As of `Torques`, shape (nv_y,).
+        tau: Torques of the independent coordinates [N·m or N], shape (nv_y,).
         q: Configuration, shape (nq,).
         v: Velocity, shape (nv,).
         a: Acceleration, shape (nv,).
-        slopes: Of the couplings there, see `Couplings.expand`.
+        slopes: Slopes of the couplings at q, see `Couplings.expand`.
     """
 
     tau: Array
@@ -250,19 +253,19 @@ class Torques(NamedTuple):
         multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
             [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
             pushes the joint in its positive direction. On its parent the coupling exerts -f' times
-            as much. With loops one a row of the constraints; that of a drive is its effort.
-        rank: How many independent forces efforts and multipliers exert together.
-        residual: What a free base would need beside them, since nothing carries it: force [N],
-            then moment [N·m] on it, in its axes, shape (6,) or (n, 6); six for each free base, 0
-            where something carries it; size 0 without a free base.
-        null_space: Dimension of the efforts and multipliers that together exert nothing, bounds
-            left aside; 0 without loops.
+            as much. With loops, one for each row of the constraints; for a drive, its effort.
+        rank: Number of independent forces that efforts and multipliers exert together.
+        residual: Force [N] and moment [N·m] that the motion of a free base requires and that no
+            effort or multiplier exerts, in the axes of the base, shape (6,) or (n, 6); six for
+            each free base, 0 where contacts carry it; size 0 without a free base.
+        null_space: Dimension of the efforts and multipliers that together exert no force,
+            regardless of bounds; 0 without loops.
         undetermined: `<joint>.effort` and names of rows that take part in it.
         condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
             without loops.
-        null_basis: Entries of tau, then of multipliers, that together exert nothing, one
-            combination a column, shape (.., null_space); size 0 without loops.
-        carried: The same as the residual for joints that stand for a free base [N·m or N].
+        null_basis: Basis of these: entries of tau, then of multipliers, one combination a column,
+            shape (.., null_space); size 0 without loops.
+        root_residual: Residual of the joints that replace a free base [N·m or N].
     """
 
     tau: Array
@@ -273,18 +276,19 @@ class Torques(NamedTuple):
     undetermined: tuple[str, ...] = ()
     condition: float = 1.0
     null_basis: Array = NO_BASIS
-    carried: Array = NONE
+    root_residual: Array = NONE
 
 
 class SampleSolver(Protocol):
     """Inverse dynamics of the independent joints, sample by sample, with loops or without.
 
     Attributes:
-        couplings: The dependent joints.
+        couplings: Dependent joints.
         configuration: Configuration of the last sample, shape (nq,).
         rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
-        needed: Joints that must be measured; loops give the others.
-        moved: Largest move of a joint of the last sample onto the constraints [rad or m].
+        needed: Joints that must be measured; the loops determine the others.
+        correction: Largest displacement of a joint of the last sample by its projection onto the
+            constraints [rad or m].
         gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
             for couplings.
     """
@@ -293,13 +297,13 @@ class SampleSolver(Protocol):
     configuration: Array
     rows: tuple[str, ...]
     needed: tuple[str, ...]
-    moved: float
+    correction: float
     gap: Array
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
     ) -> Torques:
-        """Torques of one sample.
+        """Return the torques of one sample.
 
         Args:
             position: y [rad or m], shape (ny,).
@@ -310,7 +314,7 @@ class SampleSolver(Protocol):
         ...
 
     def doubts(self) -> list[str]:
-        """What is to be said about force terms at the last sample of `solve`."""
+        """Return warnings about the validity of force terms at the last sample of `solve`."""
         ...
 
 
@@ -319,9 +323,9 @@ class TorqueComponents(NamedTuple):
 
     Attributes:
         gravity: G' g(q).
-        coriolis: G' (C(q, v) v + M dG/dt y'): all terms quadratic in velocity.
+        coriolis: G' (C(q, v) v + M dG/dt y'), all terms quadratic in velocity.
         inertial: G' M G y''.
-        external: -G' (sum J' w + sum f): the share of the environment and the force terms.
+        external: -G' (sum J' w + sum f), the share of external wrenches and force terms.
     """
 
     gravity: Array
@@ -333,8 +337,8 @@ class TorqueComponents(NamedTuple):
 class BatchLoads:
     """Generalized forces of measured loads, sum J' w, of many samples at once.
 
-    A wrench about the origin of the world, in its axes, does the work w . J dq with the columns of
-    Pinocchio's world Jacobian: those of the joints that carry its body count.
+    A wrench w about the origin of the world, in its axes, does the work w . J dq with Pinocchio's
+    world Jacobian J. Only the joints between the world and its body have a column.
 
     Args:
         wrenches: External loads, in the order in which `forces` takes their values.
@@ -343,14 +347,14 @@ class BatchLoads:
     def __init__(self, robot: Robot, wrenches: Sequence[ExternalWrench]) -> None:
         self._model, self._data = robot.model, pin.Data(robot.model)
         self._loads = tuple(wrenches)
-        places = robot.places.points
-        self._abouts = [places[load.about.number] for load in self._loads]
-        self._moving = sorted({place.joint for place in self._abouts} - {0})
-        carriers = [places[load.carrier.number].joint for load in self._loads]
-        self._columns = [_columns(robot.model, joint) for joint in carriers]
+        points = robot.places.points
+        self._origins = [points[load.about.number] for load in self._loads]
+        self._moving = sorted({point.joint for point in self._origins} - {0})
+        carriers = [points[load.carrier.number].joint for load in self._loads]
+        self._columns = [_supporting_columns(robot.model, joint) for joint in carriers]
 
     def forces(self, q: Array, wrenches: Sequence[Array]) -> Array:
-        """Sum of J' w.
+        """Return sum J' w.
 
         Args:
             q: Configurations, shape (nq, n).
@@ -360,10 +364,10 @@ class BatchLoads:
             Shape (nv, n).
 
         Raises:
-            ModelError: Another number of values.
+            ModelError: The number of wrenches is not that of the loads.
         """
         if len(wrenches) != len(self._loads):
-            raise ModelError(f"{len(wrenches)} wrenches given, the scene has {len(self._loads)}")
+            raise ModelError(f"got {len(wrenches)} wrenches, but the scene has {len(self._loads)}")
         total: Array = np.zeros((self._model.nv, q.shape[1]))
         for start in range(0, q.shape[1], _BLOCK):
             rows = slice(start, start + _BLOCK)
@@ -375,7 +379,7 @@ class BatchLoads:
         return total
 
     def _kinematics(self, q: Array) -> tuple[Array, _Poses]:
-        """World Jacobians, shape (n, 6, nv), and poses of the joints that loads are seen from."""
+        """Return world Jacobians, (n, 6, nv), and poses of the joints whose axes loads use."""
         n, data = q.shape[1], self._data
         jacobians = np.empty((n, 6, self._model.nv))
         poses = {joint: (np.empty((n, 3, 3)), np.empty((n, 3))) for joint in self._moving}
@@ -383,30 +387,30 @@ class BatchLoads:
         for i, row in enumerate(np.ascontiguousarray(q.T)):
             refresh(row)
             jacobians[i] = jacobian
-            for joint, (rotations, places) in poses.items():
+            for joint, (rotations, origins) in poses.items():
                 pose = data.oMi[joint]
-                rotations[i], places[i] = pose.rotation, pose.translation
+                rotations[i], origins[i] = pose.rotation, pose.translation
         return jacobians, poses
 
     def _in_world(self, k: int, values: Array, poses: _Poses) -> Array:
-        """Values of a load about the origin of the world, 0 where its force is too small."""
-        load, about = self._loads[k], self._abouts[k]
+        """Return a load about the origin of the world, 0 where its force is below threshold."""
+        load, origin = self._loads[k], self._origins[k]
         if load.threshold > 0.0:
             acts = np.linalg.norm(values[:, :3], axis=1) > load.threshold
             values = np.where(acts[:, None], values, 0.0)
-        values = _moved(values, about.at.rotation, about.at.translation)
-        return _moved(values, *poses[about.joint]) if about.joint else values
+        values = _transform_wrenches(values, origin.at.rotation, origin.at.translation)
+        return _transform_wrenches(values, *poses[origin.joint]) if origin.joint else values
 
 
-def _columns(model: Any, joint: int) -> NDArray[np.intp]:
-    """Where in v the joints stand that move a joint."""
-    moved = [model.joints[j] for j in model.supports[joint] if j]
-    return np.array([i for one in moved for i in range(one.idx_v, one.idx_v + one.nv)], np.intp)
+def _supporting_columns(model: Any, joint: int) -> NDArray[np.intp]:
+    """Return the indices in v of the joints between the world and a joint."""
+    supports = [model.joints[j] for j in model.supports[joint] if j]
+    return np.array([i for j in supports for i in range(j.idx_v, j.idx_v + j.nv)], np.intp)
 
 
-def _moved(values: Array, rotation: Array, place: Array) -> Array:
-    """Wrenches in the axes and about the origin that these place is seen from, shape (n, 6)."""
+def _transform_wrenches(values: Array, rotation: Array, origin: Array) -> Array:
+    """Return wrenches about the parent origin, in its axes, shape (n, 6)."""
     force, torque = (
         np.einsum("...ij,...j->...i", rotation, part) for part in (values[:, :3], values[:, 3:])
     )
-    return np.hstack([force, torque + np.cross(place, force)])
+    return np.hstack([force, torque + np.cross(origin, force)])

@@ -1,4 +1,4 @@
-"""Motion of a mechanism with loops that its constraints allow, and its equation of motion."""
+"""Projection of a motion onto the constraints of a mechanism, and its equation of motion."""
 
 from __future__ import annotations
 
@@ -26,24 +26,25 @@ from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.core.thresholds import LANDED, SINGULAR
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.methods.inverse_dynamics.efforts import Efforts
-from mbd_ros.methods.inverse_dynamics.force_split import rank_of
+from mbd_ros.methods.inverse_dynamics.force_split import numerical_rank
 from mbd_ros.methods.projection.assembly import assemble
 
 _STRIDE = 0.1  # largest step of a measured joint between two closures [rad or m]
 _ITERATIONS = 30
-_LITTLE = 1.0e-3  # of the largest moment of inertia
+_ADDED_INERTIA = 1.0e-3  # relative to the largest moment of inertia
 Mask = NDArray[np.bool_]
-_HOLDS = 1.0e-6  # of the terms that cancel in w where a row holds, and of 1 m/s^2 or rad/s^2
+_ROW_TOLERANCE = 1.0e-6  # of w where a row is active, relative to 1 + the terms that cancel in it
 
 
 class LoopMotion:
-    """Nearest consistent motion in the mass metric, and joints that nobody measures.
+    """Projection of a motion onto bilateral constraints, and solution for unmeasured joints.
 
-    Drives demand nothing here: the motion shows what they did.
+    Distances are measured with the mass matrix. Drives are ignored: a measured motion already
+    contains what they did.
 
     Args:
-        couplings: Its dependent joints, as rows.
-        constraints: Bilateral constraints of the scene; drives among them are left out.
+        couplings: Dependent joints, which become rows.
+        constraints: Constraints of the scene, of which only the bilateral ones are used.
     """
 
     def __init__(
@@ -55,20 +56,20 @@ class LoopMotion:
         self._is_base = np.isin(np.arange(robot.model.nv), robot.base_v)
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
-        self._held = self._system.held  # rows of velocities among them
-        sizes = self._held.sizes
+        self._bilateral = self._system.bilateral  # rows of positions and of velocities
+        sizes = self._bilateral.sizes
         self._usual = np.zeros(0) if sizes is None else np.sqrt(sizes.mobility)
 
     def metric(self, q: Array) -> Array:
-        """Mass matrix with which distances are measured, shape (nv, nv)."""
+        """Return the mass matrix that measures distances, shape (nv, nv)."""
         return self._system.mass(q).dense
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """Rows of couplings and constraints at a configuration, shape (m, nv)."""
-        return self._held.jacobian(t, q)
+        """Return the Jacobian of couplings and constraints at a configuration, shape (m, nv)."""
+        return self._bilateral.jacobian(t, q)
 
-    def consistent(self, x: State, a: Array) -> tuple[State, Array]:
-        """The nearest state on the constraints and the nearest acceleration that they allow.
+    def project_motion(self, x: State, a: Array) -> tuple[State, Array]:
+        """Return the nearest state on the constraints and the nearest admissible acceleration.
 
         Args:
             x: State of all joints, near the constraints.
@@ -77,53 +78,53 @@ class LoopMotion:
         Raises:
             SolveError: The mechanism cannot be assembled near this position.
         """
-        if not self._held.rows:
+        if not self._bilateral.rows:
             return x, a
         q = assemble(self._system, x._replace(v=np.zeros_like(x.v))).q
         J, L, size = self._rows(x.t, q)
-        v = x.v - _shortest(J, L, size, J.dot(x.v) + self._held.rate(x.t, q))
+        v = x.v - _smallest_change(J, L, size, J.dot(x.v) + self._bilateral.rate(x.t, q))
         x = State(x.t, q, v)
-        return x, a - _shortest(J, L, size, J.dot(a) + self._drift(x))
+        return x, a - _smallest_change(J, L, size, J.dot(a) + self._drift(x))
 
-    def complete(self, before: Array, x: State, a: Array, measured: Mask) -> Completed:
-        """A state whose other joints close the loops, on the branch of an earlier one.
+    def close_loops(self, before: Array, x: State, a: Array, measured: Mask) -> ClosedMotion:
+        """Solve for the joints that are not measured, on the branch of an earlier configuration.
 
         The measured joints move from their earlier to their present positions in steps that are
         short enough for the others to follow.
 
         Args:
-            before: Configuration on the constraints, shape (nq,).
+            before: Earlier configuration on the constraints, shape (nq,).
             x: State of all joints; entries that are not measured are ignored.
-            a: Acceleration of all joints; likewise, shape (nv,).
+            a: Acceleration of all joints, shape (nv,); entries that are not measured are ignored.
             measured: Velocity coordinates that are measured, shape (nv,).
 
         Returns:
-            The motion with the other joints filled in: NaN where they follow from measured rates
-            that are NaN.
+            The motion of all joints; a rate is NaN where it follows from measured rates that are
+            NaN.
         """
         free = np.flatnonzero(~measured)
-        kept = measured[self._v]
-        start, end = before[self._q[kept]], x.q[self._q[kept]]
-        q, way = before.copy(), np.zeros(self._system.nv)
-        seen = measured & self._is_base
-        way[seen] = self._system.chart.difference(before, x.q)[seen]
-        longest = max(np.abs(end - start).max(initial=0.0), np.abs(way).max(initial=0.0))
+        is_measured = measured[self._v]
+        start, end = before[self._q[is_measured]], x.q[self._q[is_measured]]
+        q, base_step = before.copy(), np.zeros(self._system.nv)
+        base = measured & self._is_base
+        base_step[base] = self._system.chart.difference(before, x.q)[base]
+        longest = max(np.abs(end - start).max(initial=0.0), np.abs(base_step).max(initial=0.0))
         strides = max(1, math.ceil(float(longest) / _STRIDE))
         for i in range(1, strides + 1):
-            if seen.any():
-                q = self._system.chart.integrate(q, way / strides)
-            q[self._q[kept]] = start + (end - start) * (i / strides)
-            q = self._closed(x.t, q, free)
-        J = self._held.jacobian(x.t, q)
+            if base.any():
+                q = self._system.chart.integrate(q, base_step / strides)
+            q[self._q[is_measured]] = start + (end - start) * (i / strides)
+            q = self._close(x.t, q, free)
+        J = self._bilateral.jacobian(x.t, q)
         condition = float(np.linalg.cond(J[:, free])) if J[:, free].size else 1.0
         v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
-        v[free] = -_least(J[:, free], J.dot(v) + self._held.rate(x.t, q))
+        v[free] = -_least_squares(J[:, free], J.dot(v) + self._bilateral.rate(x.t, q))
         x = State(x.t, q, v)
-        a[free] = -_least(J[:, free], J.dot(a) + self._drift(x))
-        return Completed(x, a, condition)
+        a[free] = -_least_squares(J[:, free], J.dot(a) + self._drift(x))
+        return ClosedMotion(x, a, condition)
 
     def undetermined(self, x: State, measured: Mask) -> tuple[str, ...]:
-        """Joints that are not measured and that no row ties to those that are.
+        """Return the joints that are neither measured nor determined by those that are.
 
         Args:
             x: State on the constraints.
@@ -131,29 +132,29 @@ class LoopMotion:
         """
         free = np.flatnonzero(~measured)
         _, s, Vt = np.linalg.svd(self._system.jacobian(x.t, x.q)[:, free])
-        loose = Vt[rank_of(s) :]
+        loose = Vt[numerical_rank(s) :]
         share = np.linalg.norm(loose, axis=0)
         names = (self._names[int(v)] for v in free[share > SINGULAR])
         return tuple(dict.fromkeys(names))
 
-    def moved(self, q: Array, step: Array) -> Array:
-        """A configuration after a step in the tangent, shape (nq,)."""
+    def integrate(self, q: Array, step: Array) -> Array:
+        """Return the configuration after a tangent step, shape (nq,)."""
         return self._system.chart.integrate(q, step)
 
-    def start(self, x: State) -> Array:
-        """Configuration on the constraints nearest to that of a state.
+    def assemble(self, x: State) -> Array:
+        """Return the configuration on the constraints that is nearest to that of a state.
 
         Raises:
-            SolveError: There is none near it.
+            SolveError: The mechanism cannot be assembled near this configuration.
         """
         return assemble(self._system, x._replace(v=np.zeros_like(x.v))).q
 
-    def _closed(self, t: float, q: Array, free: NDArray[np.intp]) -> Array:
-        """Newton's method over some coordinates; as near as they come if they cannot close it."""
+    def _close(self, t: float, q: Array, free: NDArray[np.intp]) -> Array:
+        """Close the loops by Newton's method over some coordinates, as far as they can."""
         dq = np.zeros(self._system.nv)
         for _ in range(_ITERATIONS):
             J = self._system.jacobian(t, q)
-            dq[free] = -_least(J[:, free], self._system.residual(t, q))
+            dq[free] = -_least_squares(J[:, free], self._system.residual(t, q))
             largest = float(np.abs(dq).max(initial=0.0))
             q = self._system.chart.integrate(q, dq * min(1.0, _STRIDE / max(largest, _STRIDE)))
             if largest <= LANDED:
@@ -161,13 +162,13 @@ class LoopMotion:
         return q
 
     def _drift(self, x: State) -> Array:
-        constraints, k = self._held.constraints, self._system.k
+        constraints, k = self._bilateral.constraints, self._system.k
         k.refresh(x.q, x.v, constraints.reads)
         return constraints.accelerations(k, x)[1]
 
     def _rows(self, t: float, q: Array) -> tuple[Array, Array, Array]:
-        """J, the Cholesky factor of M, and the size of the rows in the metric M^-1."""
-        J, M = self._held.jacobian(t, q), self._system.mass(q).dense
+        """Return J, the Cholesky factor of M, and the norm of each row in the metric M^-1."""
+        J, M = self._bilateral.jacobian(t, q), self._system.mass(q).dense
         if not (np.isfinite(J).all() and np.isfinite(M).all()):
             raise SolveError("constraint rows or masses are not finite")
         L: Any = np.linalg.cholesky(M)
@@ -175,29 +176,29 @@ class LoopMotion:
         return J, L, np.where(size > 0.0, size, 1.0)
 
 
-def _shortest(J: Array, L: Array, size: Array, r: Array) -> Array:
-    """The shortest motion in the metric M = L L' that changes the rows by r, shape (nv,)."""
+def _smallest_change(J: Array, L: Array, size: Array, r: Array) -> Array:
+    """Return the smallest v in the metric M = L L' with J v = r, shape (nv,)."""
     weighted = np.linalg.solve(L, J.T) / size
-    shortest: Array = np.linalg.solve(L.T, _least(weighted.T, r / size))
-    return shortest
+    change: Array = np.linalg.solve(L.T, _least_squares(weighted.T, r / size))
+    return change
 
 
-def _least(A: Array, b: Array) -> Array:
-    """The shortest of the x with A x nearest to b, without directions that vanish at a toggle."""
+def _least_squares(A: Array, b: Array) -> Array:
+    """Return the smallest x that minimizes |A x - b|, without directions lost at a toggle."""
     if not np.isfinite(b).all():
         return np.full(A.shape[1], np.nan)
-    least: Any = np.linalg.lstsq(A, b, rcond=SINGULAR)[0]
-    return least
+    solution: Any = np.linalg.lstsq(A, b, rcond=SINGULAR)[0]
+    return solution
 
 
-class Completed(NamedTuple):
-    """A motion whose loops have given the joints that nobody measured.
+class ClosedMotion(NamedTuple):
+    """Motion of all joints, with those that were not measured solved from the loops.
 
     Attributes:
         x: State of all joints.
-        a: Their acceleration, shape (nv,).
-        condition: Condition number of the rows; where it is large the loop folds, and the
-            measured joints no longer tell its two branches apart.
+        a: Acceleration of all joints, shape (nv,).
+        condition: Condition number of the loop equations. Where it is large, the loop is near a
+            toggle, and the measured joints no longer distinguish its two branches.
     """
 
     x: State
@@ -206,26 +207,26 @@ class Completed(NamedTuple):
 
 
 class LoopBalance:
-    """Rows, mass matrix and forces of a mechanism.
+    """Terms of the equation of motion of a mechanism: constraint rows, inputs and forces.
 
-    One instance owns one Pinocchio `Data`. `place` comes first; all other methods refer to that
-    state, and `rows` comes before them.
+    One instance owns one Pinocchio `Data`. Call `refresh` first, then `rows`; all methods refer to
+    the state of the last `refresh`.
 
     Args:
-        couplings: Its dependent joints; they become rows.
+        couplings: Dependent joints, which become rows.
         constraints: Constraints of the scene.
         efforts: The unknown inputs.
-        with_bounds: Whether rows that give way are among the unknowns; drives always are.
-        contacts: Names of contacts whose forces are unknown; those of others are loads.
+        with_bounds: Whether unilateral and bounded rows are among the unknowns; drives always are.
+        contacts: Names of contacts whose forces are unknown; forces of other contacts are loads.
 
     Attributes:
         constraints: The rows: couplings, then constraints in the order of the scene.
         is_drive: Which rows are drives, shape (m,).
-        is_held: Which rows the motion must keep, shape (m,).
-        contacts: The contacts of unknown forces, in the order of their rows.
+        is_bilateral: Which rows the motion must satisfy, shape (m,).
+        contacts: The contacts of unknown force, in the order of their rows.
 
     Raises:
-        ModelError: A law of multipliers that has no bounds in numbers.
+        ModelError: A multiplier law whose bounds are not numbers.
     """
 
     def __init__(
@@ -253,9 +254,9 @@ class LoopBalance:
         _check_bounds(known)
         self.constraints = ConstraintRows(known, robot.model.nv)
         self.is_drive = _of_kind(self.constraints, Kind.DRIVE)
-        self.is_held = _of_kind(self.constraints, Kind.BILATERAL)
+        self.is_bilateral = _of_kind(self.constraints, Kind.BILATERAL)
         of_contacts = _of_kind(self.constraints, Kind.CONE)
-        self._gives_way = ~(self.is_drive | self.is_held | of_contacts)
+        self._is_bounded = ~(self.is_drive | self.is_bilateral | of_contacts)
         self._of_contacts = np.flatnonzero(of_contacts)
         self.contacts = tuple(b.part for b in known if b.law.kind is Kind.CONE)
         for _, slots, _, _ in self.constraints.cones:  # tangents have no bounds of their own
@@ -265,55 +266,55 @@ class LoopBalance:
         self._k = Kinematics(robot, self._data)
         read = (efforts.reads, *(force.reads for force in forces))
         self._reads = max(self.constraints.reads, *read, Reads.POSITION)  # wrenches read positions
-        self._columns, self._rest = efforts.columns, efforts.rest
+        self._columns, self._offset = efforts.columns, efforts.offset
 
-    def place(self, x: State) -> None:
-        """Bring placements, velocities and joint Jacobians to a state."""
+    def refresh(self, x: State) -> None:
+        """Compute placements, velocities and joint Jacobians at a state."""
         self._k.refresh(x.q, x.v, self._reads)
 
     def columns(self, x: State) -> Array:
-        """B of the efforts, shape (nv, na)."""
+        """Return the matrix B of the efforts, shape (nv, na)."""
         return self._columns(self._k, x)
 
     def rows(self, x: State) -> tuple[Array, Array]:
-        """J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""
+        """Return J and drift of all rows, (m, nv) and (m,), overwritten by the next call."""
         return self.constraints.accelerations(self._k, x)
 
-    def shown(self, x: State, a: Array, standing: NDArray[np.bool_]) -> Array:
-        """Multipliers that the motion shows, NaN where it does not, shape (m,).
+    def known_multipliers(self, x: State, a: Array, stance: NDArray[np.bool_]) -> Array:
+        """Return the multipliers that follow from the motion, NaN for the others, shape (m,).
 
-        A row that gives way holds w = g'' + kd g' + kp g = 0 inside its bounds; where w > 0 its
-        multiplier is at the lower one, where w < 0 at the upper one. So does an open stop exert
-        nothing, and friction that slips all it can.
+        A unilateral or bounded row satisfies w = g'' + kd g' + kp g = 0 while its multiplier is
+        inside its bounds. Where w > 0 the multiplier is at its lower bound, where w < 0 at its
+        upper one. Thus an open stop exerts no force, and sliding friction its largest one.
 
         Args:
             x: State of all joints.
             a: Acceleration of all joints, shape (nv,).
-            standing: Which features of contacts may press; the others exert nothing.
+            stance: Which features of contacts may press; the others exert no force.
         """
-        lam = np.full(len(self._gives_way), np.nan)
-        lam[self._of_contacts[np.repeat(~standing, 3)]] = 0.0
-        if not self._gives_way.any():
+        lam = np.full(len(self._is_bounded), np.nan)
+        lam[self._of_contacts[np.repeat(~stance, 3)]] = 0.0
+        if not self._is_bounded.any():
             return lam
         if self.constraints.varies:
             self.constraints.limit(self._k, x)
         J, b = self.constraints.conditions(self._k, x)
         w, terms = J.dot(a) + b, np.abs(J).dot(np.abs(a)) + np.abs(b)
-        off = self._gives_way & (np.abs(w) > _HOLDS * (1.0 + terms))
+        at_bound = self._is_bounded & (np.abs(w) > _ROW_TOLERANCE * (1.0 + terms))
         bound = np.where(w > 0.0, self.constraints.lower, self.constraints.upper)
-        return np.where(off & np.isfinite(bound), bound, lam)
+        return np.where(at_bound & np.isfinite(bound), bound, lam)
 
     def residual(self, x: State) -> Array:
-        """Residual g of all rows, shape (m,); zero where the motion need not keep them."""
-        return np.where(self.is_held, self.constraints.residual(self._k, x), 0.0)
+        """Return the residual g of the bilateral rows, 0 for the others, shape (m,)."""
+        return np.where(self.is_bilateral, self.constraints.residual(self._k, x), 0.0)
 
     def rate(self, x: State) -> Array:
-        """What time alone changes in g of all rows, shape (m,)."""
+        """Return the partial derivative of g with respect to time, shape (m,)."""
         return self.constraints.rate(self._k, x)
 
     def terms(self, x: State, a: Array, wrenches: Sequence[Array]) -> Terms:
-        """Forces of a motion; overwrites the last state in `data`."""
-        loads = np.zeros_like(a) if self._rest is None else self._rest(self._k, x)
+        """Return the generalized forces of a motion."""
+        loads = np.zeros_like(a) if self._offset is None else self._offset(self._k, x)
         for force in self._forces:
             loads += force.force(self._k, x, NONE)
             if force.has_inertia:
@@ -330,13 +331,13 @@ def _check_bounds(blocks: Sequence[RowBlock]) -> None:
     for block in blocks:
         if block.slips:
             raise ModelError(
-                f"row {block.rows[0].name}: inverse dynamics takes no rows that slip; accepted "
-                "laws: bilateral, box, unilateral, drive"
+                f"row {block.rows[0].name}: inverse dynamics accepts the laws bilateral, box, "
+                "unilateral and drive, but this row slips"
             )
 
 
 def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
-    """Which rows have a law of that kind, shape (m,)."""
+    """Return which rows have a multiplier law of a kind, shape (m,)."""
     blocks = [np.full(len(block.rows), block.law.kind is kind) for block in constraints.blocks]
     return np.concatenate([np.zeros(0, dtype=np.bool_), *blocks])
 
@@ -345,8 +346,9 @@ class Terms(NamedTuple):
     """Generalized forces of a motion, shape (nv,) each.
 
     Attributes:
-        bias: h, gravity included.
-        loads: Forces of wrenches and force terms.
+        inertial: M a.
+        bias: h, Coriolis terms and gravity.
+        loads: Forces of external wrenches and force terms.
     """
 
     inertial: Array
@@ -354,11 +356,11 @@ class Terms(NamedTuple):
     loads: Array
 
 
-def with_inertia(robot: Robot) -> Robot:
-    """The robot of the metric, which stays regular with links without mass.
+def with_regular_inertia(robot: Robot) -> Robot:
+    """Return a robot whose mass matrix is regular even with massless links.
 
-    Distances and ranks need a metric, not the masses: where some joints move nothing that has
-    mass, every joint gets a little inertia. Forces never come from this robot.
+    Distances and ranks need a metric. Where some joints move no mass, every joint gets a small
+    armature. Forces are never computed with this robot.
     """
     system = build_system(robot, Couplings(robot), (), Loads(robot.model.nv))
     try:
@@ -366,6 +368,8 @@ def with_inertia(robot: Robot) -> Robot:
     except SolveError:
         diagonal = system.mass(robot.neutral()).diagonal()
         model = robot.model.copy()
-        model.armature = model.armature + _LITTLE * (float(diagonal.max(initial=0.0)) or 1.0)
+        model.armature = model.armature + _ADDED_INERTIA * (
+            float(diagonal.max(initial=0.0)) or 1.0
+        )
         return replace(robot, model=model)
     return robot

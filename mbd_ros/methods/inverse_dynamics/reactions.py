@@ -1,4 +1,4 @@
-"""Reactions of joints, and loads that joints pass on where muscles pull."""
+"""Reaction wrenches of joints, and joint loads with the contribution of each muscle."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ Side = Literal["child", "parent", "ground"]
 class JointReactions:
     """Reaction wrenches of the joints of a tree, with loops closed by constraints.
 
-    They come from the backward pass of the Newton-Euler recursion, six components a joint.
+    The backward pass of the Newton-Euler recursion yields six components a joint. Springs,
+    actuators, couplings and friction of a joint act between its parent and its child, so they are
+    part of its reaction.
 
-    Springs, actuators, couplings and friction of a joint act between its parent and its child.
-
-    One instance owns its Pinocchio data: not for two threads.
+    One instance owns its Pinocchio data and must not be shared between threads.
 
     Args:
         robot: The robot; reactions come in the order of its joints.
-        constraints: The rows that multipliers are given for.
+        constraints: The rows to which the multipliers belong.
         wrenches: External loads, in the order in which `solve` takes their values.
         forces: Force terms; those that act on bodies count as loads.
     """
@@ -63,14 +63,14 @@ class JointReactions:
         wrenches: Sequence[Array] = (),
         u: Array = NONE,
     ) -> Reactions:
-        """Reactions of a motion that satisfies the equation of motion.
+        """Return the reactions of a motion that satisfies the equation of motion.
 
         Args:
             x: State of all joints.
             a: Acceleration of all joints [rad/s^2 or m/s^2], shape (nv,).
             multipliers: One a row of the constraints, shape (m,).
             wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
-            u: All inputs; none where no force reads any.
+            u: All inputs; may be empty if no force reads them.
         """
         model, data = self._model, self._data
         self._k.refresh(x.q, x.v)
@@ -81,8 +81,8 @@ class JointReactions:
             self._loads.add(self._k, wrench)
         pin.rnea(model, data, x.q, x.v, a, self._loads.forces)
         local = np.array([data.f[i].vector for i in self._joints]).reshape(-1, 6)
-        turns = np.array([data.oMi[i].rotation for i in self._joints]).reshape(-1, 3, 3)
-        world = np.einsum("nij,nkj->nki", turns, local.reshape(-1, 2, 3)).reshape(-1, 6)
+        rotations = np.array([data.oMi[i].rotation for i in self._joints]).reshape(-1, 3, 3)
+        world = np.einsum("nij,nkj->nki", rotations, local.reshape(-1, 2, 3)).reshape(-1, 6)
         return Reactions(local, world, closures)
 
 
@@ -92,9 +92,9 @@ class Reactions(NamedTuple):
     Attributes:
         local: Wrench of the parent of every joint on its child: force [N], then torque [N·m]
             about the origin of the joint, in the axes of the joint on the child, shape (n, 6).
-            Along the axis of the joint it is the sum of actuator (without the torque on its own
-            rotor, the armature), springs, friction and tendons.
-        world: The same in world axes, about the same point, shape (n, 6).
+            Its component along the axis of the joint is the sum of actuator (without the torque
+            that accelerates its rotor, the armature), springs, friction and tendons.
+        world: These wrenches in world axes, about the same points, shape (n, 6).
         closures: Wrenches of constraints on bodies.
     """
 
@@ -103,8 +103,8 @@ class Reactions(NamedTuple):
     closures: tuple[Wrench, ...]
 
 
-class FeltReactions:
-    """Reactions of the joints of a system, with all that acts on its bodies."""
+class SystemReactions:
+    """Reactions of the joints of a system, with all its forces and constraints."""
 
     def __init__(self, system: System) -> None:
         rows = ConstraintRows(system.layout.blocks, int(system.robot.model.nv))
@@ -112,41 +112,46 @@ class FeltReactions:
         self._solver = JointReactions(system.robot, rows, (), system.loads.forces)
 
     def at(self, x: State, u: Array | None, a: Array, lam: Array) -> Array:
-        """Reactions, as `Now.reactions`.
+        """Return the reactions of all joints in their own axes, shape (n, 6).
 
         Args:
             x: State of all joints.
-            u: Inputs, as for `System.evaluate`.
+            u: Inputs; None for the values of the input sources.
             a: Accelerations of all joints, shape (nv,).
             lam: Multipliers of all rows of the system.
         """
-        given = np.asarray(self._loads.inputs(x, u))
-        return self._solver.solve(x, a, lam[self._slots], u=given).local
+        inputs = np.asarray(self._loads.inputs(x, u))
+        return self._solver.solve(x, a, lam[self._slots], u=inputs).local
 
 
 class JointLoads:
-    """Loads that joints pass on to links where muscles pull: of each muscle, and in all.
+    """Joint loads of a model with muscles: the total, and the contribution of each muscle.
 
-    The load on a link is what its joint passes from its parent to it: inertia less gravity,
-    external loads and the pulls of muscles on all bodies beyond. A muscle i of tension F_i that
-    pulls at the points r_k of bodies beyond with forces F_i n_k adds to the load about a point o
+    The load on a link is the wrench that its joint transmits to it from its parent: inertia minus
+    gravity, external loads and muscle forces of all bodies distal to the joint. A muscle i of
+    tension F_i that pulls at the points r_k of distal bodies with forces F_i n_k contributes to
+    the load about a point o
 
         -F_i sum_k (n_k, (r_k - o) x n_k)
 
-    Forces that muscles exert on joints by points that move with them are no forces on bodies, and
-    do not enter. Sources: K. M. Steele, M. S. DeMers, M. H. Schwartz, S. L. Delp, Gait Posture 35
-    (2012) 556, on loads of the knee; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3.
+    Generalized forces of muscles through moving path points act on coordinates, not on bodies, and
+    do not contribute. Sources: K. M. Steele, M. S. DeMers, M. H. Schwartz, S. L. Delp, Gait
+    Posture 35 (2012) 556, on loads of the knee; R. Featherstone, Rigid Body Dynamics Algorithms,
+    2008, 5.3.
 
-    One instance owns Pinocchio data: not for two threads.
+    One instance owns Pinocchio data and must not be shared between threads.
 
     Args:
-        reactions: Of the robot without muscles, with its external loads.
-        muscles: Their order is that of the parts of a load.
-        reserves: As in `StaticOptimization`.
-        links: Whose joint is asked for; empty for all that have one and mass.
-        side: `child` is the load on the link in its axes, `ground` the same in world axes, both
-            about the origin of its joint; `parent` is the load on the parent in its axes, about
-            the place of the joint there.
+        reactions: Joint reactions of the robot without muscles, with its external loads.
+        muscles: Muscles, in the order of their contributions.
+        reserves: Reserve actuators.
+        links: Links whose joint loads are computed; empty for all links with mass and a joint.
+        side: `child` is the load on the link in its axes, `ground` this load in world axes, both
+            about the origin of the joint; `parent` is the load on the parent in its axes, about
+            the location of the joint on the parent.
+
+    Attributes:
+        joint_links: The links, in the order of the loads.
 
     Raises:
         ModelError: Unknown link, or one that no joint carries.
@@ -167,12 +172,12 @@ class JointLoads:
         self._reserves = [
             (i, r) for i, r in enumerate(reserves) if not isinstance(r, CoordinateReserve)
         ]
-        self.joined = joined_links(robot, links)
+        self.joint_links = find_joint_links(robot, links)
         count = int(robot.model.njoints)
-        self._beyond = np.zeros((len(self.joined), count))
-        for row, link in enumerate(self.joined):
+        self._is_distal = np.zeros((len(self.joint_links), count))  # 1 for bodies beyond a joint
+        for row, link in enumerate(self.joint_links):
             for joint in robot.model.subtrees[link.joint]:
-                self._beyond[row, joint] = 1.0
+                self._is_distal[row, joint] = 1.0
         self._carrier: dict[str, int] = {}
         read = [muscle.path.reads for muscle in muscles]
         self._reads = max([Reads.POSITION, *read, *(part.reads for _, part in self._reserves)])
@@ -186,33 +191,33 @@ class JointLoads:
         wrenches: Sequence[Array] = (),
         multipliers: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Loads of one frame.
+        """Compute the joint loads at one instant.
 
         Args:
             x: State of all joints.
             a: Acceleration of all joints, shape (nv,).
-            tension: Of the muscles [N], shape (n,).
-            reserve: Of the reserves [N or N·m], shape (r,).
+            tension: Tension of the muscles [N], shape (n,).
+            reserve: Force of the reserves [N or N·m], shape (r,).
             wrenches: One (6,) array for every external load; none means unloaded.
-            multipliers: Of the rows of `reactions`; None where it has none.
+            multipliers: Multipliers of the rows of `reactions`; None if it has no rows.
 
         Returns:
-            Force [N], then moment [N·m], of all on each link, shape (links, 6), and of each
-            muscle alone, shape (n, links, 6).
+            Force [N], then moment [N·m], on each link, shape (links, 6), and the contribution of
+            each muscle to them, shape (n, links, 6).
         """
         none = np.zeros(0) if multipliers is None else multipliers
-        bare = self._reactions.solve(x, a, none, wrenches).world[[j.row for j in self.joined]]
+        bare = self._reactions.solve(x, a, none, wrenches).world[[j.row for j in self.joint_links]]
         self._k.refresh(x.q, x.v, self._reads)
-        origins = np.array([self._k.position(link.ground) for link in self.joined])
-        by_muscle = -self._about(self._pulled(x, tension), origins)
+        origins = np.array([self._k.position(link.ground) for link in self.joint_links])
+        by_muscle = -self._sum_distal(self._muscle_wrenches(x, tension), origins)
         total = bare + by_muscle.sum(axis=0)
         if self._reserves:
-            total -= self._about(self._pushed(x, reserve), origins)[0]
-        return self._seen(total, origins), self._seen(by_muscle, origins)
+            total -= self._sum_distal(self._reserve_wrenches(x, reserve), origins)[0]
+        return self._to_side(total, origins), self._to_side(by_muscle, origins)
 
-    def _pulled(self, x: State, tension: Array) -> Array:
-        """Of each muscle on each body: force, and moment about the origin, (n, bodies, 6)."""
-        on = np.zeros((len(self._muscles), self._beyond.shape[1], 6))
+    def _muscle_wrenches(self, x: State, tension: Array) -> Array:
+        """Return the wrench of each muscle on each body about the origin, (n, bodies, 6)."""
+        on = np.zeros((len(self._muscles), self._is_distal.shape[1], 6))
         owners, bodies, points, forces = [], [], [], []
         for i, muscle in enumerate(self._muscles):
             for pull in muscle.path.pulls(self._k, x):
@@ -225,9 +230,9 @@ class JointLoads:
         scaled: Array = on * tension[:, None, None]
         return scaled
 
-    def _pushed(self, x: State, reserve: Array) -> Array:
-        """Of all reserves on each body, shape (1, bodies, 6)."""
-        on = np.zeros((1, self._beyond.shape[1], 6))
+    def _reserve_wrenches(self, x: State, reserve: Array) -> Array:
+        """Return the wrench of all reserves on each body about the origin, (1, bodies, 6)."""
+        on = np.zeros((1, self._is_distal.shape[1], 6))
         for i, part in self._reserves:
             for wrench in part.wrenches(self._k, x, float(reserve[i])):
                 body = self._body(wrench.frame)
@@ -241,30 +246,33 @@ class JointLoads:
             self._carrier[frame] = int(self._robot.model.frames[index].parentJoint)
         return self._carrier[frame]
 
-    def _about(self, on: Array, origins: Array) -> Array:
-        """Sums beyond each joint, about its origin, shape (.., links, 6)."""
-        summed = np.einsum("lb,mbk->mlk", self._beyond, on)
+    def _sum_distal(self, on: Array, origins: Array) -> Array:
+        """Return the sums over the bodies beyond each joint, about its origin, (.., links, 6)."""
+        summed = np.einsum("lb,mbk->mlk", self._is_distal, on)
         summed[..., 3:] -= cross(origins, summed[..., :3])
         return summed
 
-    def _seen(self, loads: Array, origins: Array) -> Array:
-        """Loads from the side that is asked for, shape as loads."""
+    def _to_side(self, loads: Array, origins: Array) -> Array:
+        """Convert loads on the links in world axes to the chosen side, same shape."""
         if self.side == "ground":
             return loads
         if self.side == "parent":
-            places = np.array([self._k.position(link.parent) for link in self.joined])
+            places = np.array([self._k.position(link.parent) for link in self.joint_links])
             force = -loads[..., :3]
             loads = np.concatenate(
                 (force, cross(origins - places, force) - loads[..., 3:]), axis=-1
             )
-        ends = [link.child if self.side == "child" else link.parent for link in self.joined]
+        ends = [link.child if self.side == "child" else link.parent for link in self.joint_links]
         R = np.array([self._k.rotation(end) for end in ends])
         split = loads.reshape(*loads.shape[:-1], 2, 3)
         return np.asarray((split @ R).reshape(loads.shape))
 
 
-def joined_links(robot: Robot, links: Sequence[str] = ()) -> tuple[Joined, ...]:
-    """Links that joints carry, in the order of the joints; all with mass where none is named.
+def find_joint_links(robot: Robot, links: Sequence[str] = ()) -> tuple[JointLink, ...]:
+    """Return the given links with their joints, in the order of the joints.
+
+    Args:
+        links: Names of links; empty for all links with mass that a joint carries.
 
     Raises:
         ModelError: Unknown link, or one that no joint carries.
@@ -278,28 +286,29 @@ def joined_links(robot: Robot, links: Sequence[str] = ()) -> tuple[Joined, ...]:
     rows = {int(j.idx_v): i for i, j in enumerate(robot.model.joints) if i}
     places = {rows[joint.v]: row for row, joint in enumerate(robot.joints)}
     if not links:
-        asked = [(joint, heavy[joint]) for joint in places if joint in heavy]
+        pairs = [(joint, heavy[joint]) for joint in places if joint in heavy]
     else:
-        asked = [(int(robot.model.frames[robot.frame(name)].parentJoint), name) for name in links]
-    found = []
-    for joint, name in sorted(asked):
+        pairs = [(int(robot.model.frames[robot.frame(name)].parentJoint), name) for name in links]
+    joint_links = []
+    for joint, name in sorted(pairs):
         if joint not in places:
             names = ", ".join(heavy[j] for j in places if j in heavy)
-            raise ModelError(f"no joint carries link '{name}'; joints carry {names}")
-        found.append(_joined(robot, name, joint, places[joint], heavy))
-    return tuple(found)
+            raise ModelError(f"no joint carries link '{name}'; accepted: {names}")
+        joint_links.append(_joint_link(robot, name, joint, places[joint], heavy))
+    return tuple(joint_links)
 
 
-class Joined(NamedTuple):
-    """A link and what joins it to its parent: one joint, or several with links without mass.
+class JointLink(NamedTuple):
+    """A link and its connection to its parent: one joint, or several with massless links between.
 
     Attributes:
-        row: Of its last joint, among the joints of the robot.
-        joint: Index of that joint in the model; its origin is what moments are about.
-        child: Axes of the link.
-        ground: Origin of the last joint.
-        parent: Where the first joint sits, in axes of the parent.
-        parent_link: Name of the parent.
+        link: Name of the link.
+        row: Index of its last joint among the joints of the robot.
+        joint: Index of that joint in the model; moments are about its origin.
+        child: Point of the link, in its axes.
+        ground: Point at the origin of the last joint.
+        parent: Point of the parent at the origin of the first joint, in axes of the parent.
+        parent_link: Name of the parent link.
     """
 
     link: str
@@ -311,8 +320,8 @@ class Joined(NamedTuple):
     parent_link: str
 
 
-def _joined(robot: Robot, name: str, joint: int, row: int, heavy: dict[int, str]) -> Joined:
-    """The link, with the chain of joints without mass that leads to it."""
+def _joint_link(robot: Robot, name: str, joint: int, row: int, heavy: dict[int, str]) -> JointLink:
+    """Return a link with the chain of massless links that leads to it."""
     model, first = robot.model, joint
     while int(model.parents[first]) and int(model.parents[first]) not in heavy:
         first = int(model.parents[first])
@@ -321,4 +330,4 @@ def _joined(robot: Robot, name: str, joint: int, row: int, heavy: dict[int, str]
     axes = model.frames[robot.frame(parent)].placement
     at = axes.inverse() * model.jointPlacements[first]
     place = robot.shifted(robot.point(parent), at.translation)
-    return Joined(name, row, joint, robot.point(name), robot.carrier(name), place, parent)
+    return JointLink(name, row, joint, robot.point(name), robot.carrier(name), place, parent)

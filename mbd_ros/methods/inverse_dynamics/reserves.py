@@ -1,7 +1,7 @@
-"""What helps muscles where they cannot carry a load: reserves in coordinates and on bodies.
+"""Reserve actuators: forces on coordinates and bodies that supplement muscles.
 
-Their unknown is the effort in optimal forces: the larger the optimal force, the less a reserve
-costs.
+The unknown of a reserve is its effort, the force divided by its optimal force. A larger optimal
+force therefore makes a reserve cheaper.
 """
 
 import math
@@ -23,13 +23,13 @@ _AXES = tuple(f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xy
 
 
 class CoordinateReserve(NamedTuple):
-    """Force of one coordinate, between parent and child of its joint.
+    """Reserve force on one coordinate, between parent and child of its joint.
 
     Attributes:
-        name: Unique among muscles and reserves.
+        name: Name, unique among muscles and reserves.
         optimal: Force at effort 1 [N·m or N].
         unit: N·m or N.
-        at: Its place among velocities.
+        at: Index of the coordinate in v.
         limits: Smallest and largest effort.
     """
 
@@ -41,17 +41,17 @@ class CoordinateReserve(NamedTuple):
 
 
 class BodyReserve:
-    """A force and a torque on a body, from outside, both in fixed directions.
+    """External reserve force and torque on a body, both in fixed directions.
 
     Args:
-        name: Of the reserve, without a dot.
-        frame: Link that it acts on.
-        force: Direction of the force and its share of the optimal force.
-        torque: The same of the torque [m or 1].
-        point: Where the force acts, in axes of the link.
-        expressed_in: `world`, or the name of the link: whose axes the directions are in.
+        name: Name of the reserve, without a dot.
+        frame: Link on which it acts.
+        force: Direction of the force, scaled by its share of the optimal force.
+        torque: Direction of the torque, scaled by its share of the optimal force [m or 1].
+        point: Point of application in axes of the link.
+        expressed_in: Axes of the directions: `world`, or the name of the link.
         optimal_force: Force, or torque where there is no force, at effort 1.
-        bounds: Smallest and largest effort; none by default.
+        bounds: Smallest and largest effort; unbounded by default.
 
     Raises:
         ModelError: Unknown frame, or neither a force nor a torque.
@@ -73,7 +73,9 @@ class BodyReserve:
         bounds: Annotated[Sequence[float], Length(2), Unit("-")] = UNBOUNDED,
     ) -> None:
         if "." in name or not name:
-            raise ModelError(f"residual '{name}': a name has letters and no dot")
+            raise ModelError(
+                f"residual '{name}': the name must not be empty and must not contain a dot"
+            )
         if expressed_in not in ("world", frame):
             raise ModelError(
                 f"residual {name}: expressed_in is '{expressed_in}', accepted: world, {frame}"
@@ -81,45 +83,47 @@ class BodyReserve:
         self.name, self.frame, self.optimal = name, frame, optimal_force
         self._load = np.array([*force, *torque], dtype=np.float64)
         if not self._load.any():
-            raise ModelError(f"residual {name}: gives neither a force nor a torque")
+            raise ModelError(
+                f"residual {name}: force and torque are both zero; one needs a direction"
+            )
         self.limits = float(bounds[0]), float(bounds[1])
         self.unit = "N" if self._load[:3].any() else "N·m"
-        self._turns = expressed_in != "world"
+        self._is_local = expressed_in != "world"
         self._point = robot.point(frame, point)
 
     def column(self, k: Kinematics, x: State) -> Array:
-        """Generalized force per unit of force, shape (nv,)."""
+        """Return the generalized force per unit of force, shape (nv,)."""
         force, torque = self._now(k)
         J = k.spatial_jacobian(self._point)
         column: Array = force.dot(J[:3]) + torque.dot(J[3:])
         return column
 
     def wrenches(self, k: Kinematics, x: State, value: float) -> tuple[Wrench, ...]:
-        """What it exerts on bodies.
+        """Return the wrenches on bodies.
 
         Args:
-            k: Kinematics at positions.
-            value: Force [N or N·m].
+            k: Kinematics, refreshed at positions.
+            value: Force of the reserve [N or N·m].
         """
         force, torque = self._now(k)
         return (Wrench(self.frame, k.position(self._point), value * force, value * torque),)
 
     def _now(self, k: Kinematics) -> tuple[Array, Array]:
-        if not self._turns:
+        if not self._is_local:
             return self._load[:3], self._load[3:]
         R = k.rotation(self._point)
         return R.dot(self._load[:3]), R.dot(self._load[3:])
 
 
 class InputReserve:
-    """An input of a part whose force is affine in it: a motor, a force that somebody commands.
+    """Reserve that is an input of a part, such as a motor, whose force is affine in the input.
 
-    Its optimal force is the limit of the input, 1 without one.
+    The optimal force is the limit of the input, or 1 if it has no limit.
 
     Args:
-        name: Of the reserve, without a dot.
-        part: Bound to its slots.
-        place: Of the input among those of the part.
+        name: Name of the reserve, without a dot.
+        part: The part, bound to its slots in u.
+        place: Index of the input among those of the part.
     """
 
     def __init__(self, name: str, part: Load, place: int) -> None:
@@ -131,12 +135,12 @@ class InputReserve:
         self._part, self._place = part, place
 
     def column(self, k: Kinematics, x: State) -> Array:
-        """Generalized force per unit of the input, shape (nv,)."""
+        """Return the generalized force per unit of the input, shape (nv,)."""
         columns: Any = self._part.columns(k, x)
         return np.asarray(columns[:, self._place])
 
     def wrenches(self, k: Kinematics, x: State, value: float) -> tuple[Wrench, ...]:
-        """What it exerts on bodies; arguments as of `BodyReserve`."""
+        """Return the wrenches on bodies, see `BodyReserve.wrenches`."""
         u = np.zeros(self._part.u.stop)
         u[self._part.u.start + self._place] = value
         return self._part.wrenches(k, x, u)
@@ -148,15 +152,15 @@ Reserve = CoordinateReserve | BodyReserve | InputReserve
 def coordinate_reserves(
     robot: Robot, couplings: Couplings, optimal: float, without: Sequence[str] = ()
 ) -> list[CoordinateReserve]:
-    """One on every independent coordinate, the six of a free base too.
+    """Return a reserve for every independent coordinate, including the six of each free base.
 
     Args:
-        couplings: Its dependent joints.
-        optimal: Force of each at effort 1 [N·m or N].
-        without: Joints that need none.
+        couplings: Dependent joints, which get no reserve.
+        optimal: Force of each reserve at effort 1 [N·m or N].
+        without: Independent joints that get no reserve.
     """
     reserves = [
-        reserve_on(robot, couplings, joint, optimal)
+        joint_reserve(robot, couplings, joint, optimal)
         for joint in couplings.independent
         if joint not in without
     ]
@@ -168,7 +172,7 @@ def coordinate_reserves(
     return reserves
 
 
-def reserve_on(
+def joint_reserve(
     robot: Robot,
     couplings: Couplings,
     joint: str,
@@ -176,23 +180,23 @@ def reserve_on(
     name: str = "",
     bounds: tuple[float, float] = UNBOUNDED,
 ) -> CoordinateReserve:
-    """One on a joint.
+    """Return a reserve on one joint.
 
     Args:
-        couplings: Its dependent joints.
-        joint: An independent one.
+        couplings: Dependent joints, which cannot have a reserve.
+        joint: Name of an independent joint.
         optimal: Force at effort 1 [N·m or N].
-        name: Of the reserve; default `<joint>_reserve`.
+        name: Name of the reserve; `<joint>_reserve` by default.
         bounds: Smallest and largest effort.
 
     Raises:
         ModelError: The joint is unknown, or depends on another one.
     """
-    found = robot.joint(joint)
+    target = robot.joint(joint)
     if joint not in couplings.independent:
         raise ModelError(
-            f"reserve {joint}: the joint depends on {couplings.parents[joint]}, give that one; "
-            f"accepted: {', '.join(couplings.independent)}"
+            f"reserve {joint}: the joint depends on {couplings.parents[joint]}; choose that "
+            f"joint; accepted: {', '.join(couplings.independent)}"
         )
-    unit = "N" if found.kind == "prismatic" else "N·m"
-    return CoordinateReserve(name or f"{joint}_reserve", optimal, unit, int(found.v), bounds)
+    unit = "N" if target.kind == "prismatic" else "N·m"
+    return CoordinateReserve(name or f"{joint}_reserve", optimal, unit, int(target.v), bounds)

@@ -1,4 +1,8 @@
-"""Joint-state samples -> torques: the causal estimate, live and offline alike."""
+"""Causal estimate of joint torques from a stream of joint samples, live and offline alike.
+
+An observer judges each sample and differentiates it causally; inverse dynamics then solves for
+the torques.
+"""
 
 from __future__ import annotations
 
@@ -29,28 +33,30 @@ class JointObserver:
     pose, each in axes of the body. A constant twist passes any filter as it is.
 
     Args:
-        couplings: Its dependent joints, which may be missing.
+        couplings: Dependent joints; a sample may omit them.
         tuning: How samples are judged and filtered.
 
     Attributes:
         names: Joints of a sample: the independent ones, then the dependent ones.
-        differentiator: Where velocity and acceleration come from.
+        differentiator: Causal filter that supplies velocity and acceleration.
         outcome: Verdict on the newest sample.
     """
 
     def __init__(self, robot: Robot, couplings: Couplings, tuning: Tuning) -> None:
-        self._robot, self._coordinates = robot, IndependentCoordinates(robot, couplings)
+        self._robot = robot
+        self._coordinates = IndependentCoordinates(robot, couplings)
         self.names = couplings.independent + couplings.dependent
         self._n = len(couplings.independent)
         self._size = self._n + TWIST * len(robot.bases)
         self._independent = [robot.joint(name) for name in couplings.independent]
-        self._present, self._is_complete = np.zeros(len(self.names), dtype=np.bool_), False
+        self._present = np.zeros(len(self.names), dtype=np.bool_)
+        self._is_complete = False
         self.tune(tuning)
 
     def tune(self, tuning: Tuning) -> None:
-        """Replace the tuning; the filters start again."""
+        """Replace the tuning and restart the filters."""
         limits = np.array([joint.max_velocity for joint in self._independent])
-        with np.errstate(over="ignore"):  # a limit near the largest number is none
+        with np.errstate(over="ignore"):  # an overflow to inf means no limit
             limits *= tuning.velocity_margin
         continuous = [joint.kind == "continuous" for joint in self._independent]
         bodies = self._size - self._n
@@ -65,24 +71,37 @@ class JointObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard all earlier samples, so that the filters start again."""
         self.differentiator.reset()
         self.outcome = SampleStatus.USED
-        self._position, self._velocity = np.zeros(self._size), np.full(self._size, np.nan)
-        self._seen = np.full(self._size, _NEVER, dtype=np.int64)
-        self._poses: Array | None = None  # of the newest sample that is used
+        self._position = np.zeros(self._size)
+        self._velocity = np.full(self._size, np.nan)
+        self._last_stamps = np.full(self._size, _NEVER, dtype=np.int64)  # of each coordinate [ns]
+        self._poses: Array | None = None  # of the newest sample that was used
         self._complete: int | None = None  # stamp of a complete sample since the last partial one
 
-    @property
-    def memory(self) -> tuple[Any, ...]:
-        """State on which the next samples depend; may be set, to its value before a sample."""
-        kept = self._position, self._velocity, self._complete, self._seen, self._poses
-        return kept, self.differentiator.memory
+    def checkpoint(self) -> tuple[Any, ...]:
+        """Return everything on which the result of the next sample depends."""
+        return (
+            self._position,
+            self._velocity,
+            self._complete,
+            self._last_stamps,
+            self._poses,
+            self.differentiator.checkpoint(),
+        )
 
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        kept, self.differentiator.memory = memory
-        self._position, self._velocity, self._complete, self._seen, self._poses = kept
+    def restore(self, checkpoint: tuple[Any, ...]) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        (
+            self._position,
+            self._velocity,
+            self._complete,
+            self._last_stamps,
+            self._poses,
+            filters,
+        ) = checkpoint
+        self.differentiator.restore(filters)
 
     def observe(
         self,
@@ -92,24 +111,24 @@ class JointObserver:
         present: NDArray[np.bool_],
         bodies: tuple[Array, Array] | None = None,
     ) -> Observation | SampleStatus:
-        """Take a sample of the motion.
+        """Judge a sample of the motion and differentiate it.
 
         Args:
             stamp: Time [ns].
             position: In the order of `names` [rad or m], NaN where absent.
             velocity: In the order of `names` [rad/s or m/s], NaN where absent.
             present: Which of `names` the message carries, shape (len(names),); the same array as
-                long as that does not change.
+                long as its entries do not change.
             bodies: Poses of the free bodies in the world, shape (k, 7), and their twists, NaN
                 where not measured, shape (k, 6); None without free bodies.
 
         Returns:
-            The sample with its derivatives, or why it cannot be used.
+            The sample with its derivatives, or the reason why it cannot be used.
         """
         n, poses = self._n, None
         z, v = position[:n], velocity[:n]
         if bodies is not None:
-            poses, steps = self._placed(bodies[0])
+            poses, steps = self._base_coordinates(bodies[0])
             z, v = np.concatenate((z, steps)), np.concatenate((v, bodies[1].ravel()))
         if present is not self._present:
             self._present, self._is_complete = present, bool(present[:n].all())
@@ -119,9 +138,9 @@ class JointObserver:
                 return outcome
             self._position, self._velocity, self._complete = z, v, stamp
         else:
-            of_bodies = np.ones(self._size - n, dtype=np.bool_)
-            known = np.concatenate((present[:n], of_bodies))
-            self.outcome = outcome = self._take_part(stamp, z, v, known)
+            bodies_present = np.ones(self._size - n, dtype=np.bool_)
+            known = np.concatenate((present[:n], bodies_present))
+            self.outcome = outcome = self._observe_partial(stamp, z, v, known)
             if outcome in _UNUSED:
                 return outcome
         d, dependent = self.differentiator, position[n:]
@@ -134,29 +153,32 @@ class JointObserver:
     def observe_all(
         self, stamps: NDArray[np.int64], position: Array, velocity: Array
     ) -> Observations | None:
-        """Take many samples at once, as `observe` one by one, to rounding.
+        """Judge and differentiate many samples at once.
+
+        The result agrees with that of calling `observe` for each sample to rounding.
 
         Args:
             stamps: Times [ns], shape (m,), m > 0.
             position: Columns in the order of `names` [rad or m], NaN where absent.
-            velocity: The same [rad/s or m/s].
+            velocity: Columns in the order of `names` [rad/s or m/s], NaN where absent.
 
         Returns:
-            The samples; None, and nothing is taken, where they have to be taken one by one: at a
-            beginning, with free bodies, and where one is not complete or may not be used.
+            The samples; None, without any effect, where they must go through `observe` one by one:
+            at the beginning of a stream, with free bodies, and where a sample is incomplete or
+            unusable.
         """
         n = self._n
         if self._robot.bases or not np.isfinite(position[:, :n]).all():
             return None
-        found = self.differentiator.update_all(stamps, position[:, :n], velocity[:, :n])
-        if found is None:
+        derivatives = self.differentiator.update_all(stamps, position[:, :n], velocity[:, :n])
+        if derivatives is None:
             return None
         self.outcome, self._complete = SampleStatus.USED, int(stamps[-1])
         self._position, self._velocity = position[-1, :n], velocity[-1, :n]
-        return Observations(stamps, *found, position[:, n:])
+        return Observations(stamps, *derivatives, position[:, n:])
 
-    def _placed(self, poses: Array) -> tuple[Array, Array]:
-        """Coordinates of the free bodies, (k, 7), and the sums of the steps that lead there."""
+    def _base_coordinates(self, poses: Array) -> tuple[Array, Array]:
+        """Return configurations of the free bodies, (k, 7), and their accumulated steps."""
         q, before = configuration_of(self._robot, poses), self._poses
         if before is None or not np.isfinite(q).all():
             return q, 0.0 * q[:, 1:].ravel()  # NaN stays
@@ -165,23 +187,24 @@ class JointObserver:
         signed = np.array([with_sign_of(*pair) for pair in pairs])
         return signed, self.differentiator.position[self._n :] + steps
 
-    def _take_part(
+    def _observe_partial(
         self, stamp: int, z: Array, v: Array, present: NDArray[np.bool_]
     ) -> SampleStatus:
-        """Take a sample that lacks joints; missing ones keep their last position for `max_age`."""
+        """Observe a sample without some joints; these keep their position for `max_age`."""
         if not np.isfinite(z[present]).all():
             return SampleStatus.NOT_FINITE
-        self._seen = self._seen.copy()
+        self._last_stamps = self._last_stamps.copy()
         if self._complete is not None:
-            self._seen[:], self._complete = self._complete, None
+            self._last_stamps[:] = self._complete
+            self._complete = None
         z, v = np.where(present, z, self._position), np.where(present, v, self._velocity)
-        since, outcome = stamp - self._seen, SampleStatus.INCOMPLETE
-        if int(np.abs(since[~present]).max()) <= self._max_age:
-            outcome = self.differentiator.update(stamp, z, v, since)
+        age, outcome = stamp - self._last_stamps, SampleStatus.INCOMPLETE
+        if int(np.abs(age[~present]).max()) <= self._max_age:
+            outcome = self.differentiator.update(stamp, z, v, age)
             if outcome in _UNUSED:
                 return outcome
         self._position, self._velocity = z, v
-        self._seen[present] = stamp
+        self._last_stamps[present] = stamp
         return outcome
 
 
@@ -189,7 +212,7 @@ class TorqueEstimator(JointObserver):
     """Causal inverse dynamics on a stream of joint samples.
 
     Args:
-        inverse: Solver, owned by the estimator from now on.
+        inverse: Solver; the estimator owns it from now on.
         tuning: How samples are judged and filtered.
     """
 
@@ -200,34 +223,34 @@ class TorqueEstimator(JointObserver):
         self._ones = np.ones(len(inverse.couplings.v_index))
 
     def solve(self, x: Observation, wrenches: Sequence[Array] = ()) -> Torques | None:
-        """Torques of an observation; None if they are not finite.
+        """Return the torques of an observation, or None if they are not finite.
 
-        An observation without torques leaves nothing behind: the next sample is judged and solved
-        as if it had not been there. Where later samples were observed before it was solved, it
-        stays in the filters, or they begin anew if its torques are not finite.
+        An observation without torques has no effect on later ones: the filters return to their
+        state before it. Where later samples were observed in the meantime, the filters keep it,
+        and restart if its torques are not finite.
 
         Args:
-            x: What `observe` returned.
-            wrenches: One (6,) array for every load of the scene.
+            x: Result of `observe`.
+            wrenches: One (6,) array [N, N·m] for every load of the scene.
 
         Raises:
-            SolveError: There are none.
+            SolveError: No torques explain the observation.
         """
         try:
             torques = self._inverse.solve(x.position, x.velocity, x.acceleration, wrenches)
             if math.isfinite(torques.tau.dot(self._ones)):
                 return torques
         except SolveError:
-            self._give_up(x)
+            self._discard(x)
             raise
         is_newest = x is self._newest
-        self._give_up(x)
+        self._discard(x)
         if not is_newest:
             self.reset()
         return None
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Discard all earlier samples, so that the filters start again."""
         super().reset()
         self._newest: Observation | None = None
 
@@ -239,46 +262,53 @@ class TorqueEstimator(JointObserver):
         present: NDArray[np.bool_],
         bodies: tuple[Array, Array] | None = None,
     ) -> Observation | SampleStatus:
-        """As `JointObserver.observe`."""
-        before = self.memory
-        found = super().observe(stamp, position, velocity, present, bodies)
-        if isinstance(found, Observation):
-            self._newest, self._before = found, before
-        return found
+        """Judge a sample of the motion and differentiate it, see `JointObserver.observe`."""
+        before = self.checkpoint()
+        result = super().observe(stamp, position, velocity, present, bodies)
+        if isinstance(result, Observation):
+            self._newest = result
+            self._before = before
+        return result
 
     def observe_all(
         self, stamps: NDArray[np.int64], position: Array, velocity: Array
     ) -> Observations | None:
-        """As `JointObserver.observe_all`."""
-        found = super().observe_all(stamps, position, velocity)
-        if found is not None:
+        """Judge and differentiate many samples, see `JointObserver.observe_all`."""
+        observations = super().observe_all(stamps, position, velocity)
+        if observations is not None:
             self._newest = None
-        return found
+        return observations
 
-    def _give_up(self, x: Observation) -> None:
-        """Put back the state before an observation."""
+    def _discard(self, x: Observation) -> None:
+        """Restore the filters to their state before the newest observation."""
         if x is self._newest:
-            self.memory, self._newest = self._before, None
+            self.restore(self._before)
+            self._newest = None
 
     def violation(self, x: Observation) -> Array:
-        """Measured minus coupled position of the dependent joints, of the newest `solve`.
+        """Return how far the measured dependent joints are from their coupling.
+
+        Args:
+            x: Observation of the newest call of `solve`.
 
         Returns:
-            [rad or m], 0 where a joint was not measured, shape (n_d,).
+            Measured minus coupled position [rad or m], 0 where a joint was not measured, shape
+            (n_d,).
         """
-        off = x.dependent - self._inverse.configuration[self._dependent_q]
-        return np.where(np.isfinite(off), off, 0.0)
+        deviation = x.dependent - self._inverse.configuration[self._dependent_q]
+        return np.where(np.isfinite(deviation), deviation, 0.0)
 
 
 class Tuning(NamedTuple):
-    """How samples are judged and filtered.
+    """Parameters of the judgement and the filters of samples.
 
     Attributes:
         cutoff: Half-power frequency of the causal filters of derivatives.
-        velocity_margin: Position steps beyond margin x velocity limit x dt are encoder glitches.
-        patience: Number of glitches in a row that are believed.
-        max_age: How long a joint that messages lack keeps its last position.
-        rewind: A stamp older than the last by more than this is a new beginning.
+        velocity_margin: A position step beyond margin x velocity limit x dt counts as an encoder
+            glitch.
+        patience: After this many glitches in a row the new position is accepted.
+        max_age: How long a joint that is missing in messages keeps its last position.
+        rewind: A stamp that is older than the last one by more than this restarts the filters.
     """
 
     cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 5.0
@@ -323,14 +353,14 @@ class Observations(NamedTuple):
     acceleration: Array
     dependent: Array
 
-    def each(self) -> Iterator[Observation]:
-        """The samples one by one."""
-        rows = zip(self.stamps.tolist(), *self[1:], strict=True)
-        return (Observation(*row) for row in rows)
+    def rows(self) -> Iterator[Observation]:
+        """Yield the samples one by one."""
+        values = zip(self.stamps.tolist(), *self[1:], strict=True)
+        return (Observation(*row) for row in values)
 
 
-def together(parts: Sequence[Observations]) -> Observations:
-    """Samples after each other."""
+def concatenate_observations(parts: Sequence[Observations]) -> Observations:
+    """Return the samples of all parts, in order."""
     if len(parts) == 1:
         return parts[0]
-    return Observations(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return Observations(*(np.concatenate(field) for field in zip(*parts, strict=True)))

@@ -27,7 +27,7 @@ Near = Callable[[Array, Array | None, float], Whole]
 
 
 class PairModel(NamedTuple):
-    """What pairs exert on one another.
+    """Forces between pairs of particles.
 
     Attributes:
         box: Edges of the periodic box, shape (3,); None without one.
@@ -177,13 +177,13 @@ class Pairs:
     def pairs_within(self, x: Array, reach: float) -> NearPairs:
         """Pairs of different molecules that are nearer than a distance."""
         if reach == np.inf:
-            found = np.stack(np.triu_indices(len(x), 1), axis=1).astype(np.int32)
+            indices = np.stack(np.triu_indices(len(x), 1), axis=1).astype(np.int32)
         elif np.isfinite(x).all():
-            found = self._near(x, self.model.box, reach)
+            indices = self._near(x, self.model.box, reach)
         else:
-            found = np.zeros((0, 2), dtype=np.int32)
-        found = found[self._molecules[found[:, 0]] != self._molecules[found[:, 1]]]
-        i, j = np.ascontiguousarray(found.T)
+            indices = np.zeros((0, 2), dtype=np.int32)
+        indices = indices[self._molecules[indices[:, 0]] != self._molecules[indices[:, 1]]]
+        i, j = np.ascontiguousarray(indices.T)
         first = np.searchsorted(i, np.arange(len(x) + 1)).astype(np.int32)
         return NearPairs(first, i, j)
 

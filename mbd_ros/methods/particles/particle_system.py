@@ -37,7 +37,6 @@ class ParticleSystem:
 
     Attributes:
         slices: Where each kind stands in q and v.
-        clusters: Whether there are rows; methods of constrained Verlet steps look for it.
         masses: Of each point, shape (n,).
     """
 
@@ -46,7 +45,7 @@ class ParticleSystem:
     model = None
     k = None
     bounded = None
-    exact = None
+    event_rows = None
     sizes = None
     condition = 1.0
 
@@ -65,7 +64,6 @@ class ParticleSystem:
         self.nq = self.nv = 3 * len(self.masses)
         self.chart = Chart(SimpleNamespace(nq=self.nq, nv=self.nv, joints=()))
         self.internals, self.loads, self.layout = Internals(()), Loads(self.nv), RowLayout()
-        self.clusters = any(kind.clusters for kind in kinds)
         rows = ParticleRows(self.kinds, self.slices)
         self.split, self.row_count = rows.split, rows.count
         self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate
@@ -76,7 +74,7 @@ class ParticleSystem:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of each point."""
+        """Return the value of each point."""
         return tuple(name for kind in self.kinds for name in kind.labels)
 
     @cached_property
@@ -91,7 +89,7 @@ class ParticleSystem:
         return self.rows
 
     @property
-    def held(self) -> ParticleSystem:
+    def bilateral(self) -> ParticleSystem:
         """All bilateral rows: those of positions, there are no others."""
         return self
 
@@ -278,12 +276,12 @@ class ParticleRows:
         """dg/dq, shape (m, nv), dense."""
         J, row = np.zeros((self.count, self._size)), 0
         for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
-            own = [row for cluster in kind.clusters for row in cluster.rows]
-            directions = [one.direction(x) for one in own]
+            kind_rows = [row for cluster in kind.clusters for row in cluster.rows]
+            directions = [row_of_kind.direction(x) for row_of_kind in kind_rows]
             for lane in range(kind.count):
                 first = mine.start + 3 * len(kind.atoms) * lane
-                for one, D in zip(own, directions, strict=True):
-                    for i, sign in one.ends:
+                for row_of_kind, D in zip(kind_rows, directions, strict=True):
+                    for i, sign in row_of_kind.ends:
                         J[row, first + 3 * i : first + 3 * i + 3] += sign * D[:, lane]
                     row += 1
         return J

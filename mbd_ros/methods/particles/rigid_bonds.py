@@ -42,7 +42,7 @@ class DistanceRow(NamedTuple):
 
     @property
     def size(self) -> float:
-        """What g is compared with."""
+        """Scale to which g is compared."""
         return self.length
 
     def direction(self, x: Array) -> Array:

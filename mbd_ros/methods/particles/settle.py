@@ -120,7 +120,7 @@ def _sum(x: Vector, u: Any, y: Vector, v: Any, z: Vector, w: Any) -> Vector:
 def corrections(
     triangle: Triangle, before: Sequence[Vector], moved: Sequence[Vector], root: Any
 ) -> list[Vector]:
-    """What rows add to the places of the corners, three vectors.
+    """Return the corrections of the positions of the corners, three vectors.
 
     Args:
         before: Places of the corners before the step.
@@ -147,7 +147,7 @@ def _plus(a: Vector, b: Vector) -> Vector:
 def velocity_changes(
     triangle: Triangle, inverse: Array, places: Sequence[Vector], v: Sequence[Vector]
 ) -> list[Vector]:
-    """What rows add to the velocities of the corners, three vectors.
+    """Return the corrections of the velocities of the corners, three vectors.
 
     J M^-1 J' of a rigid triangle is a constant, and so is its inverse.
 
@@ -199,7 +199,7 @@ class SettledCluster(Cluster):
         self.inverse = inverse_metric(triangle)
 
     def close(self, x: Array, moved: Array, w: Array, h: float, tolerance: float) -> None:
-        """As `Cluster.close`, without iterations."""
+        """Close the rows like `Cluster.close`, without iterations."""
         for some in _chunks(x.shape[2]):
             before, after = (
                 [part[i, :, some] for i in self.triangle.atoms] for part in (x, moved)
@@ -213,7 +213,7 @@ class SettledCluster(Cluster):
             _add(w, self.triangle.atoms, change, some, 1.0 / h)
 
     def project(self, x: Array, v: Array) -> None:
-        """As `Cluster.project`, with a constant matrix."""
+        """Project velocities like `Cluster.project`, with a constant matrix."""
         for some in _chunks(x.shape[2]):
             places, speeds = ([part[i, :, some] for i in self.triangle.atoms] for part in (x, v))
             change = velocity_changes(self.triangle, self.inverse, places, speeds)

@@ -1,7 +1,7 @@
-"""Units of a scene of particles, with the constants of physics: the one place that converts.
+"""Units of a scene of particles, with the physical constants in these units.
 
-Numbers of a scene are computed with as they stand. Energy, force and so on follow from length,
-time and mass; charges are in elementary charges, but for SI in coulomb.
+The numbers of a scene are used without conversion. Units of energy, force and so on follow from
+length, time and mass; charges are in elementary charges, in SI units in coulomb.
 """
 
 from typing import NamedTuple
@@ -17,9 +17,9 @@ class Units(NamedTuple):
     """Units of length, time and mass.
 
     Attributes:
-        name: What a scene calls them.
-        words: Names of length, time, mass and temperature, for columns.
-        sizes: The first three in SI; empty for reduced units, which no file has.
+        name: Name of the units in a scene.
+        symbols: Symbols of length, time, mass and temperature, for columns.
+        sizes: Length, time and mass in SI; empty for reduced units, which have none.
         boltzmann: Boltzmann's constant in these units.
         coulomb: Coulomb's constant in these units.
 
@@ -27,47 +27,47 @@ class Units(NamedTuple):
     """
 
     name: str
-    words: tuple[str, str, str, str]
+    symbols: tuple[str, str, str, str]
     sizes: tuple[float, ...]
     boltzmann: float
     coulomb: float
 
     @property
     def length(self) -> str:
-        """Word for a length."""
-        return self.words[0]
+        """Symbol of a length."""
+        return self.symbols[0]
 
     @property
     def time(self) -> str:
-        """Word for a time."""
-        return self.words[1]
+        """Symbol of a time."""
+        return self.symbols[1]
 
     @property
     def velocity(self) -> str:
-        """Word for a velocity."""
-        return self._word("velocity", f"{self.length}/{self.time}")
+        """Symbol of a velocity."""
+        return self._symbol("velocity", f"{self.length}/{self.time}")
 
     @property
     def force(self) -> str:
-        """Word for a force."""
-        return self._word("force", f"{self.words[2]} {self.length}/{self.time}^2", "N")
+        """Symbol of a force."""
+        return self._symbol("force", f"{self.symbols[2]} {self.length}/{self.time}^2", "N")
 
     @property
     def energy(self) -> str:
-        """Word for an energy."""
-        return self._word("energy", f"{self.words[2]} {self.length}^2/{self.time}^2", "J")
+        """Symbol of an energy."""
+        return self._symbol("energy", f"{self.symbols[2]} {self.length}^2/{self.time}^2", "J")
 
-    def _word(self, reduced: str, composed: str, si: str = "m/s") -> str:
+    def _symbol(self, reduced: str, composed: str, si: str = "m/s") -> str:
         if not self.sizes:
             return f"reduced {reduced}"
         return si if self.name == "si" else composed
 
 
-def _derived(name: str, words: tuple[str, str, str, str], *sizes: float, charge: float) -> Units:
+def _derived(name: str, symbols: tuple[str, str, str, str], *sizes: float, charge: float) -> Units:
     length, time, mass = sizes
     energy = mass * length**2 / time**2
     coulomb = COULOMB * charge**2 / (energy * length)
-    return Units(name, words, sizes, BOLTZMANN / energy, coulomb)
+    return Units(name, symbols, sizes, BOLTZMANN / energy, coulomb)
 
 
 SI = _derived("si", ("m", "s", "kg", "K"), 1.0, 1.0, 1.0, charge=1.0)

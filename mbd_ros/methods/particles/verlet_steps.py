@@ -56,7 +56,7 @@ class ParticleVerlet(Stepper):
         """
         self._load(x)
         h, t = clip(x.t, self._dt, end)
-        self._one(x.t, h)
+        self._step_lanes(x.t, h)
         return self._unload(t)
 
     def advance(self, x: State, due: float) -> State:
@@ -68,7 +68,7 @@ class ParticleVerlet(Stepper):
         t = x.t
         while t < nearly:
             h, after = clip(t, self._dt, due)
-            self._one(t, h)
+            self._step_lanes(t, h)
             t = after
         return self._unload(t)
 
@@ -84,7 +84,7 @@ class ParticleVerlet(Stepper):
         self._last = State(t, q, v)
         return self._last
 
-    def _one(self, t: float, h: float) -> None:
+    def _step_lanes(self, t: float, h: float) -> None:
         """One step of the lanes."""
         half = 0.5 * h
         self._move(t, half, h)
@@ -129,11 +129,11 @@ class ParticleShake(ParticleVerlet):
         if x is not self._last or self._ahead != h:
             self._load(x)
             self._move(x.t, 0.5 * h, h)
-        q = self._points.joined([one for one, _ in self._lanes])
-        w = self._points.joined([one for _, one in self._lanes])
-        self._force = self._points.forces([one for one, _ in self._lanes])
+        q = self._points.joined([q for q, _ in self._lanes])
+        w = self._points.joined([v for _, v in self._lanes])
+        self._force = self._points.forces([q for q, _ in self._lanes])
         self._move(t, h, h)
-        w_next = self._points.joined([one for _, one in self._lanes])
+        w_next = self._points.joined([v for _, v in self._lanes])
         self._last, self._ahead = State(t, q, 0.5 * (w + w_next)), h
         return self._last
 

@@ -1,11 +1,11 @@
-"""Assembly: the nearest state on the constraint manifold, in the mass metric.
+"""Assembly: projection onto the constraint manifold in the mass metric.
 
     position   min |q - q0|_M   subject to   g(t, q) = 0
     velocity   min |v - v0|_M   subject to   J v + dg/dt = 0
 
-`assemble` starts from any state and looks for the nearest one on its branch; `project` starts from
-a state that a step took slightly off the manifold, and lands on it with few evaluations. A
-`Stabilization` keeps a simulation on the manifold by one of these means or by feedback.
+`assemble` accepts any state and returns the nearest one on its branch; `project` corrects a state
+that a step took slightly off the manifold, with few evaluations. A `Stabilization` keeps a
+simulation on the manifold by projection or by feedback.
 
 Source: E. Eich, Convergence results for a coordinate projection method applied to mechanical
 systems with algebraic constraints, SIAM J. Numer. Anal. 30 (1993).
@@ -22,31 +22,31 @@ from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, NEAREST, ON_
 from mbd_ros.errors import SolveError
 
 _MAX_ITERATIONS = 100  # of Newton's method, and of the descent along the manifold
-_SMALLEST_STEP = 1.0e-6  # share of a step of the descent below which it ends
+_SMALLEST_STEP = 1.0e-6  # share of a full step below which the descent ends
 _CORRECTIONS = 12  # of positions after a step
 _VELOCITY_CORRECTIONS = 3
-_SHRINKS = 0.1  # of the last residual: a slower fall means that the rows have turned
-_STUCK = 4  # how often rows may turn
-_OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
+_SHRINKS = 0.1  # ratio of residuals; slower convergence means that the Jacobian has changed
+_STUCK = 4  # largest number of new factorizations
+_OPEN = 1.0e-6  # accepted residual of rows at a toggle [m or rad]
 
 
 def assemble(system: System, x: State) -> State:
-    """The nearest consistent state to one that may be far off, on its branch.
+    """Return the nearest consistent state on the branch of a state that may be far off.
 
-    A state that is consistent to rounding stays what it is, so that runs continue from it.
+    A state that is consistent to rounding is returned unchanged, so that runs continue from it.
 
     Args:
         x: Any finite state of the integrated coordinates.
 
     Raises:
-        SolveError: There is none near it; names the worst row and its residual.
+        SolveError: There is none near x; the message names the worst row and its residual.
     """
-    held = system.held
-    if not held.rows or _is_consistent(system, x):
+    bilateral = system.bilateral
+    if not bilateral.rows or _is_consistent(system, x):
         return x
     q = _nearest_configuration(system, x) if system.rows else x.q
-    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
-    v, factor = x.v, held.factor_at(x.t, q)
+    J, rate = bilateral.jacobian(x.t, q), bilateral.rate(x.t, q)
+    v, factor = x.v, bilateral.factor_at(x.t, q)
     for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
         v = _consistent_velocity(v, J, rate, factor)
         left = J.dot(v) + rate
@@ -55,29 +55,29 @@ def assemble(system: System, x: State) -> State:
     worst = int(np.argmax(np.abs(left)))
     if not abs(left[worst]) <= ASSEMBLED * (1.0 + _speed(system, J, x.v)):
         raise SolveError(
-            f"no consistent velocity: row {held.rows[worst].name} keeps a rate of "
-            f"{left[worst]:.3g} per second; it contradicts the other rows"
+            f"no consistent velocity: row {bilateral.rows[worst].name} keeps a rate of "
+            f"{left[worst]:.3g} per second, since it contradicts other rows; check the constraints"
         )
     return x._replace(q=q, v=v)
 
 
 def _is_consistent(system: System, x: State) -> bool:
     off = violation(system, x)
-    fastest = _speed(system, system.held.jacobian(x.t, x.q), x.v)
+    fastest = _speed(system, system.bilateral.jacobian(x.t, x.q), x.v)
     return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
 
 
 def _speed(system: System, J: Array, v: Array) -> float:
-    """Largest velocity [m/s or rad/s]; free bodies that no row touches do not count."""
+    """Return the largest velocity [m/s or rad/s], without free bodies that no row involves."""
     if system.robot.bases:
         v = v[J.any(axis=0)]
     return float(np.abs(v).max(initial=0.0))
 
 
 def _nearest_configuration(system: System, x: State) -> Array:
-    """Downhill in the distance to the start, along the manifold, after Newton landed on it."""
+    """Minimize the distance to the start along the manifold, after Newton's method reached it."""
     M = system.mass(x.q).dense
-    landed, step = _closed(system, x.t, x.q, M), 1.0
+    landed, step = _close(system, x.t, x.q, M), 1.0
     if landed is None:
         raise _not_assembled(system, x)
     q = landed
@@ -88,18 +88,18 @@ def _nearest_configuration(system: System, x: State) -> Array:
         downhill = factor.motion(J.dot(away)) - away
         if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
             break
-        nearer = _closed(system, x.t, system.chart.integrate(q, step * downhill), M)
+        nearer = _close(system, x.t, system.chart.integrate(q, step * downhill), M)
         if nearer is not None:
-            there = system.chart.difference(x.q, nearer)
-            if there.dot(M.dot(there)) < away.dot(M.dot(away)):
-                q, away = nearer, there
+            distance = system.chart.difference(x.q, nearer)
+            if distance.dot(M.dot(distance)) < away.dot(M.dot(away)):
+                q, away = nearer, distance
                 continue
         step *= 0.5
     return q
 
 
-def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
-    """Newton's method with the shortest steps in the metric M; None if it does not close g."""
+def _close(system: System, t: float, start: Array, M: Array) -> Array | None:
+    """Solve g = 0 by Newton's method with the smallest steps in the metric M; None if it fails."""
     q = start
     for _ in range(_MAX_ITERATIONS):
         g = system.residual(t, q)
@@ -120,8 +120,8 @@ def _not_assembled(system: System, x: State) -> SolveError:
     row = system.rows[int(np.argmax(g))]
     return SolveError(
         f"the mechanism cannot be assembled near this position: row {row.name} is "
-        f"{g.max():.3g} m or rad open and does not close; move the initial positions, or look for "
-        "constraints that contradict one another"
+        f"{g.max():.3g} m or rad open and does not close; change the initial positions, or check "
+        "the constraints for contradictions"
     )
 
 
@@ -130,41 +130,41 @@ def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> 
 
 
 def project(system: System, x: State) -> State:
-    """A state near the constraints moved onto them, for use after every step.
+    """Project a state that is near the constraints onto them, as after every step.
 
-    Positions see rows of positions alone, velocities see all of them. Dependent rows and rows at a
-    toggle are left out. `system.condition` is brought up to date.
+    Positions satisfy the rows of positions, velocities all rows. Dependent rows and rows at a
+    toggle are omitted. `system.condition` is updated.
 
     Raises:
-        SolveError: The state is too far away; names the time, and the row that stays open.
+        SolveError: The state is too far away; the message names the time and the violated row.
     """
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return x
     try:
-        return _projected(system, x)
+        return _project(system, x)
     except SolveError as error:
         raise SolveError(f"at t = {x.t:.9g} s: {error}") from error
 
 
-def _projected(system: System, x: State) -> State:
-    held, q, factor = system.held, x.q, None
+def _project(system: System, x: State) -> State:
+    bilateral, q, factor = system.bilateral, x.q, None
     if system.rows:
-        q, factor = _closed_nearby(system, x)
-    if factor is None or len(held.rows) > len(system.rows):
-        factor = held.factor_at(x.t, q)
-    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
+        q, factor = _close_nearby(system, x)
+    if factor is None or len(bilateral.rows) > len(system.rows):
+        factor = bilateral.factor_at(x.t, q)
+    J, rate = bilateral.jacobian(x.t, q), bilateral.rate(x.t, q)
     v, slow = x.v, ON_MANIFOLD * (1.0 + _speed(system, J, x.v))
     for attempt in range(_VELOCITY_CORRECTIONS):
-        if attempt == _VELOCITY_CORRECTIONS - 1:  # the rows have turned since they were factorised
-            factor = held.factor_at(x.t, q)
+        if attempt == _VELOCITY_CORRECTIONS - 1:  # the factors belong to an earlier configuration
+            factor = bilateral.factor_at(x.t, q)
         v = _consistent_velocity(v, J, rate, factor)
         if float(np.abs(J.dot(v) + rate).max()) <= slow:
             break
     return x._replace(q=q, v=v)
 
 
-def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
-    """Newton's method with the rows of the start, while it converges."""
+def _close_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
+    """Close the rows by simplified Newton steps, with new factors where convergence is slow."""
     q, g = x.q, system.residual(x.t, x.q)
     factor = system.factorise(x.t, q)
     last, stuck = float(np.abs(g).max()), 0
@@ -190,7 +190,7 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
 
 
 class Violation(NamedTuple):
-    """How far a state is off the constraints.
+    """Violation of the bilateral constraints.
 
     Attributes:
         position: Largest |g| [m or rad].
@@ -202,29 +202,29 @@ class Violation(NamedTuple):
 
 
 def violation(system: System, x: State) -> Violation:
-    """How far a state of the integrated coordinates violates the bilateral rows."""
-    held = system.held
-    if not held.rows:
+    """Return the violation of the bilateral constraints at a state of integrated coordinates."""
+    bilateral = system.bilateral
+    if not bilateral.rows:
         return Violation(0.0, 0.0)
-    g = held.residual(x.t, x.q)
-    rate = held.jacobian(x.t, x.q).dot(x.v) + held.rate(x.t, x.q)
+    g = bilateral.residual(x.t, x.q)
+    rate = bilateral.jacobian(x.t, x.q).dot(x.v) + bilateral.rate(x.t, x.q)
     return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
 
 
 class Stabilization:
-    """Either corrects the acceleration, by `gains`, or the state after a step, by `correct`.
+    """Correction of constraint drift: of accelerations by `gains`, or of states by `correct`.
 
     Attributes:
-        projects: Whether `correct` finds the nearest consistent state in the mass metric, which
-            compiled runs do themselves.
+        projects: Whether `correct` returns the nearest consistent state in the mass metric;
+            compiled runs then do this themselves.
     """
 
     projects: bool = False
 
     def gains(self, dt: float) -> tuple[float, float]:
-        """Gains kp [1/s^2] and kd [1/s] of g'' + kd g' + kp g = 0, for steps of dt [s]."""
+        """Return kp [1/s^2] and kd [1/s] of g'' + kd g' + kp g = 0 for steps of dt [s]."""
         return 0.0, 0.0
 
     def correct(self, system: System, x: State) -> State:
-        """The state from which to continue after a step; `x` itself without a correction."""
+        """Return the corrected state after a step; x itself if there is nothing to correct."""
         return x

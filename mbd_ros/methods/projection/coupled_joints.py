@@ -41,7 +41,7 @@ Bools = NDArray[np.bool_]
 
 
 class CoupledJoints:
-    """Couplings of a fixed-base robot; each function is evaluated once a place.
+    """Couplings of a fixed-base robot, with one evaluation of each function for a configuration.
 
     Args:
         n: Number of joints.
@@ -63,7 +63,7 @@ class CoupledJoints:
         self._zeros = [0.0] * n
 
     def at(self, start: Array) -> Place:
-        """F and its derivatives.
+        """Return F and its derivatives.
 
         Args:
             start: Positions whose independent ones are y [rad or m], shape (n,).
@@ -80,21 +80,21 @@ class CoupledJoints:
         return Place(values[0], values[1], values[2], slopes)
 
     def multipliers(self, forces: Array, link_slopes: list[float]) -> Array:
-        """Multipliers of the couplings that carry forces to the independent joints, shape (m,).
+        """Return the multipliers with which couplings transmit forces to independent joints, (m,).
 
         Args:
-            forces: On all joints, shape (n,); those on the independent ones have no influence.
-            link_slopes: Those of a `Place`.
+            forces: Forces on all joints, shape (n,); those on independent ones have no influence.
+            link_slopes: `Place.link_slopes`.
         """
-        carried = forces.tolist()
+        transmitted = forces.tolist()
         for (child, parent, _), slope in zip(
             reversed(self._pairs), reversed(link_slopes), strict=True
         ):
-            carried[parent] += slope * carried[child]
-        return np.array([carried[child] for child, _, _ in self._pairs])
+            transmitted[parent] += slope * transmitted[child]
+        return np.array([transmitted[child] for child, _, _ in self._pairs])
 
     def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
+        """Return the residual g and its rate g' at any state of all joints, (m,) and (m,)."""
         at, speed, g, rate = q.tolist(), v.tolist(), [], []
         for child, parent, function in self._pairs:
             follows, slope, _ = function(at[parent])
@@ -104,13 +104,16 @@ class CoupledJoints:
 
 
 class NearestCoupled:
-    """Searches without limits first; if some acted last time, with limits and within them.
+    """Nearest state of a robot whose only constraints are couplings, by Newton's method.
+
+    It first searches without limits, or with them if a limit was active in the last search.
 
     Args:
-        lower: Smallest positions [rad or m], shape (n,).
-        upper: Largest positions [rad or m], shape (n,).
-        of_position: Forces of the limits.
-        of_velocity: Forces of those that are reached.
+        joints: The couplings.
+        lower: Lower limits of positions [rad or m], shape (n,).
+        upper: Upper limits of positions [rad or m], shape (n,).
+        of_position: Solver for the forces of position limits.
+        of_velocity: Solver for the forces of limits that are reached.
     """
 
     def __init__(
@@ -130,22 +133,22 @@ class NearestCoupled:
         self._limits_act = False
 
     def find(self, x: State, W: Array, W_velocity: Array) -> Nearest | None:
-        """The nearest state; None where this method does not find it.
+        """Return the nearest state; None if this method does not find it.
 
         Args:
-            x: The measurement, from which it starts.
-            W: Metric of positions, definite along G, shape (n, n).
-            W_velocity: The same of velocities.
+            x: The measurement, where the search starts.
+            W: Metric of positions, positive definite along G, shape (n, n).
+            W_velocity: Metric of velocities, positive definite along G, shape (n, n).
         """
         try:
-            found = None if self._limits_act else self._stationary(x.q, W, limits_act=False)
-            found = found or self._stationary(x.q, W, limits_act=True)
-            if found is None:
+            optimum = None if self._limits_act else self._stationary(x.q, W, limits_act=False)
+            optimum = optimum or self._stationary(x.q, W, limits_act=True)
+            if optimum is None:
                 return None
-            place, pull, mu, clearance, iterations = found
+            place, pull, mu, clearance, iterations = optimum
             q = place.q if clearance > _WITHIN else self._on_limits(place.q)
             v = self._velocity(q, place.slope, W_velocity, x.v, clearance <= REACHED)
-        except SolveError:  # in one linearisation; another way may lead to the limits
+        except SolveError:  # one linearisation failed; another method may succeed
             return None
         self._limits_act = mu is not None
         if not self._is_consistent(q, v):
@@ -154,11 +157,11 @@ class NearestCoupled:
         return Nearest(q, v, lam, self._zero if mu is None else mu, iterations, 1.0)
 
     def violation(self, x: State) -> tuple[Array, Array]:
-        """Residual g and its rate g' at any state, shapes (m,) and (m,)."""
+        """Return the residual g and its rate g' at any state, (m,) and (m,)."""
         return self._joints.violation(x.q, x.v)
 
     def _stationary(self, measured: Array, W: Array, *, limits_act: bool) -> _Stationary | None:
-        """Newton's method; a Hessian serves as long as it makes steps much shorter."""
+        """Find the optimum by Newton's method, with a new Hessian where convergence is slow."""
         ancestry, start = self._joints.ancestry, measured
         if limits_act:
             start = np.minimum(np.maximum(measured, self._lower), self._upper)
@@ -201,11 +204,11 @@ class NearestCoupled:
         return v
 
     def _clearance(self, q: Array) -> float:
-        """Distance from the nearest limit, negative beyond it [rad or m]."""
+        """Return the distance from the nearest limit, negative beyond it [rad or m]."""
         return min(min((q - self._lower).tolist()), min((self._upper - q).tolist()))
 
     def _on_limits(self, q: Array) -> Array:
-        """The configuration with its joints exactly on limits that they reach."""
+        """Return the configuration with joints exactly on the limits that they reach."""
         q = np.where(q - self._lower <= _WITHIN, self._lower, q)
         return np.where(self._upper - q <= _WITHIN, self._upper, q)
 
@@ -216,13 +219,14 @@ class NearestCoupled:
 
 
 class _Stationary(NamedTuple):
-    """Where Newton's method ends.
+    """Optimum of the position problem.
 
     Attributes:
+        place: Positions and derivatives there.
         pull: W p, shape (n,).
-        mu: Forces of the limits, shape (n,); None where none acts.
+        mu: Forces of the limits, shape (n,); None if no limit is active.
         clearance: Distance from the nearest limit [rad or m].
-        iterations: Steps, the last of which changed nothing.
+        iterations: Number of Newton steps.
     """
 
     place: Place
@@ -237,15 +241,15 @@ def _norm(vector: Array) -> float:
 
 
 class Nearest(NamedTuple):
-    """The nearest state, checked.
+    """Nearest state, verified.
 
     Attributes:
         q: Configuration, shape (n,).
         v: Velocity, shape (n,).
-        lam: Multipliers of the rows that kept q, shape (m,).
-        mu: Multipliers of the limits that kept q, shape (n,).
-        iterations: Steps to q.
-        condition: Condition number of the rows in the metric; 1 where none had to be factorised.
+        lam: Multipliers of the rows at q, shape (m,).
+        mu: Multipliers of the limits at q, shape (n,).
+        iterations: Number of iterations for q.
+        condition: Condition number of the rows in the metric; 1 where none were factorised.
     """
 
     q: Array
@@ -273,13 +277,13 @@ class Place(NamedTuple):
 
 
 class Tangent:
-    """Moves along the couplings, p = G dy, that cost 1/2 dy' H dy with H = G' W G + diag(h).
+    """Displacements p = G dy along couplings with the Hessian H = G' W G + diag(h).
 
     Args:
-        ancestry: That of the `CoupledJoints`, shape (n, ny).
+        ancestry: `CoupledJoints.ancestry`, shape (n, ny).
         slope: dF_i/dz_k, shape (n,).
         W: Metric, shape (n, n).
-        bend: What each joint adds to h, shape (n,).
+        bend: Contribution of each joint to h, shape (n,).
     """
 
     def __init__(self, ancestry: Array, slope: Array, W: Array, bend: Array | None = None) -> None:
@@ -292,32 +296,32 @@ class Tangent:
 
     @property
     def is_convex(self) -> bool:
-        """Whether H is definite."""
+        """Whether H is positive definite."""
         return bool(self._cholesky.info() == _SUCCESS)
 
     def along(self, reduced: Array) -> Array:
-        """Moves that forces on the independent joints cause, one a column."""
+        """Return the displacements due to forces on the independent joints, one a column."""
         return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
 
     def moves(self, forces: Array) -> Array:
-        """Moves that forces on all joints cause, one a column."""
+        """Return the displacements due to forces on all joints, one a column."""
         return self.along(self._G.T.dot(forces))
 
     def mobility(self) -> Array:
-        """Moves per force of the independent joint that each one follows, shape (n,)."""
+        """Return the displacement per force of each joint's independent ancestor, shape (n,)."""
         reduced = self._ancestry.T
         moves = self._cholesky.solve(reduced).reshape(reduced.shape)
         return np.array((moves * reduced).sum(axis=0))
 
 
 def independent_limits(robot: Robot, couplings: Couplings) -> tuple[Array, Array]:
-    """Range of the independent coordinates in which all joints are within limits.
+    """Return the range of the independent coordinates in which all joints are within limits.
 
-    An independent joint may go as far as the joints that follow it stay within their own limits:
-    the interval around 0 is found on a grid over its range, and its ends by bisection.
+    An independent joint can move as long as the joints that follow it stay within their limits.
+    The interval around 0 is searched on a grid over its range, and its ends by bisection.
 
     Returns:
-        Smallest and largest values [rad or m], shapes (ny,) and (ny,); infinite for free bodies.
+        Lower and upper limits [rad or m], shapes (ny,) and (ny,); infinite for free bodies.
     """
     nv = robot.model.nv
     low, high = np.full(nv, -np.inf), np.full(nv, np.inf)
@@ -325,23 +329,23 @@ def independent_limits(robot: Robot, couplings: Couplings) -> tuple[Array, Array
         low[joint.v], high[joint.v] = joint.lower, joint.upper
     followed = {pair.parent_v for pair in couplings.pairs} & set(couplings.v_index.tolist())
     for v in sorted(followed):
-        low[v], high[v] = _room(robot, couplings, v, low, high)
+        low[v], high[v] = _dependent_range(robot, couplings, v, low, high)
     return low[couplings.v_index], high[couplings.v_index]
 
 
-def _room(
+def _dependent_range(
     robot: Robot, couplings: Couplings, v: int, low: Array, high: Array
 ) -> tuple[float, float]:
-    """The interval of one independent joint around 0 in which its dependents keep limits.
+    """Return the interval of an independent joint in which its dependent joints are in limits.
 
-    Without any such interval their limits have no say.
+    If there is no such interval, the limits of dependent joints are ignored.
     """
     (q_of,) = (joint.q for joint in robot.joints if joint.v == v)
     ends = max(low[v], -_WIDE), min(high[v], _WIDE)
 
     dependent = [joint for joint in robot.joints if joint.name in couplings.dependent]
 
-    def kept(z: Array) -> Bools:
+    def is_within(z: Array) -> Bools:
         q = np.repeat(robot.neutral()[:, None], len(z), axis=1)
         q[q_of] = z
         moving = np.zeros((robot.model.nv, len(z)))
@@ -355,24 +359,24 @@ def _room(
         return inside
 
     z = np.linspace(*ends, _SAMPLES)
-    inside = kept(z)
+    inside = is_within(z)
     if inside.all() or not inside.any():
         return float(low[v]), float(high[v])
     middle = int(np.argmin(np.where(inside, np.abs(z), np.inf)))
     left, right = np.flatnonzero(~inside[:middle]), np.flatnonzero(~inside[middle:])
     lower, upper = float(low[v]), float(high[v])
     if len(left):
-        lower = _edge(kept, z[left[-1] + 1], z[left[-1]])
+        lower = _edge(is_within, z[left[-1] + 1], z[left[-1]])
     if len(right):
-        upper = _edge(kept, z[middle + right[0] - 1], z[middle + right[0]])
+        upper = _edge(is_within, z[middle + right[0] - 1], z[middle + right[0]])
     return lower, upper
 
 
-def _edge(kept: Callable[[Array], Bools], inside: float, outside: float) -> float:
-    """Where limits are reached between two positions, by bisection."""
+def _edge(is_within: Callable[[Array], Bools], inside: float, outside: float) -> float:
+    """Return the position between two others where a limit is reached, by bisection."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
-        if kept(np.array([middle]))[0]:
+        if is_within(np.array([middle]))[0]:
             inside = middle
         else:
             outside = middle

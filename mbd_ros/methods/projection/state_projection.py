@@ -1,17 +1,17 @@
-"""The state nearest to a measured one, on the constraints and within the joint limits.
+"""Projection of a measured state onto the constraints, within joint limits.
 
     position   min 1/2 p' W p,  p = q - q_m   subject to  g(t, q) = 0,  lower <= q <= upper
-    velocity   min 1/2 p' W p,  p = v - v_m   subject to  J v + dg/dt = 0, and no motion out of a
+    velocity   min 1/2 p' W p,  p = v - v_m   subject to  J v + dg/dt = 0, and no motion beyond a
                                                           limit that is reached;
-                                                          here J has rows of velocities too
+                                                          J includes velocity constraints
 
 W is the mass matrix at the measured state; `metric_of` defines it for joints that were not
-measured. `NearestOnRows` finds the state on rows of any kind: the configuration by successive
-quadratic programs, each with the rows of the last configuration, the velocity by one program.
+measured. `NearestOnRows` handles constraints of any kind: it finds the configuration by sequential
+quadratic programming and the velocity by one quadratic program.
 Robots whose only rows are couplings have a faster method in `coupled_joints`.
 
 Sources: E. Eich, SIAM J. Numer. Anal. 30 (1993); J. Nocedal and S. Wright, Numerical Optimization,
-2006, ch. 18, on successive quadratic programs.
+2006, ch. 18, on sequential quadratic programming.
 """
 
 from __future__ import annotations
@@ -45,31 +45,31 @@ from mbd_ros.methods.projection.coupled_joints import CoupledJoints, Nearest, Ne
 
 _QUICK = 30  # quadratic programs with full steps
 _PATIENT = 60  # quadratic programs downhill along the manifold
-_ACCURATE = 1.0e-9  # step after which nothing of second order in it counts
-_SLOW = 0.1  # step over the last one from which second derivatives of the rows pay
-_STIFF = 1.0e3  # of the rows beside second derivatives that are convex along them only
-_HALF = 1.0e-5  # of the step of their difference quotients [rad or m]
+_ACCURATE = 1.0e-9  # step whose second-order terms are below rounding
+_SLOW = 0.1  # ratio of two steps above which second derivatives of the rows pay off
+_STIFF = 1.0e3  # weight of the rows in a Hessian that is convex only along them
+_HALF = 1.0e-5  # half step of central differences [rad or m]
 _SMALLEST_SHARE = 1.0e-6
 _LANDING = 50  # Newton steps
 _ROUNDING = 1.0e-14
 Rows = tuple[Array, Array]  # g and J
 _OPTIMAL = 1.0e-8  # accepted residual of the optimality condition, relative
 _NAMED = 4  # violations in an error message
-_SHARE = 0.1  # of a free direction from which a joint counts as free
+_SHARE = 0.1  # share in a free direction above which a joint counts as free
 
 
 class StateProjector:
-    """Finds the nearest consistent state and checks every result.
+    """Projects measured states onto the nearest consistent state, and verifies every result.
 
     Args:
-        system: All joints of a fixed-base robot, the rows to keep as its `rows`.
-        limits: Whether the position limits of the robot description are kept.
-        amplification: Largest accepted ratio of an error in a reconstructed joint to errors of
-            measured ones; a missing joint beyond it is held instead.
+        system: All joints of a fixed-base robot, with the constraints as its `rows`.
+        limits: Whether the result stays within the position limits of the robot description.
+        amplification: Largest accepted ratio of the error of a reconstructed joint to errors of
+            measured ones; an unmeasured joint beyond it keeps its position instead.
 
     Attributes:
-        lower: Smallest position of each joint, shape (nv,).
-        upper: Largest position of each joint, shape (nv,).
+        lower: Lower limit of each joint, shape (nv,).
+        upper: Upper limit of each joint, shape (nv,).
 
     Raises:
         ModelError: The base floats, or the system integrates other coordinates than all joints.
@@ -85,9 +85,13 @@ class StateProjector:
         joints, n = system.robot.joints, system.nv
         if system.robot.floating:
             free = ", ".join(base.title for base in system.robot.bases)
-            raise ModelError(f"the projector takes joint states alone, and no poses of {free}")
+            raise ModelError(
+                f"the projector needs a fixed base, since joint states have no poses of {free}"
+            )
         if n != system.model.nv:
-            raise ModelError(f"tier {system.tier} eliminates joints: tier kkt keeps all")
+            raise ModelError(
+                f"tier {system.tier} eliminates joints; use tier kkt for a projection"
+            )
         self.system = system
         self._amplification = amplification
         self.lower = np.full(n, -np.inf)
@@ -98,65 +102,66 @@ class StateProjector:
         self._limits = LimitForces(n, is_bounded), LimitForces(n, is_bounded)
         self._on_rows = NearestOnRows(system, self.lower, self.upper, *self._limits)
         self._none = np.zeros(n, dtype=np.bool_)
-        held = system.held.constraints.parts
-        parts = [part for part in held if isinstance(part, CouplingRows)]
+        bilateral = system.bilateral.constraints.parts
+        parts = [part for part in bilateral if isinstance(part, CouplingRows)]
         self._coupled: NearestCoupled | None = None
-        if n and len(parts) == len(held):
+        if n and len(parts) == len(bilateral):
             couplings = CoupledJoints(n, [pair for part in parts for pair in part.pairs])
             self._coupled = NearestCoupled(couplings, self.lower, self.upper, *self._limits)
 
     @property
     def statistics(self) -> tuple[int, Statistics]:
-        """How often a limit acted, and how the QPs for that went."""
+        """Number of quadratic programs for limits, and their statistics."""
         counts = zip(*(limits.statistics for limits in self._limits), strict=True)
         solves = sum(limits.solves for limits in self._limits)
         return solves, Statistics(*(sum(count) for count in counts))
 
     def prepare(self, m: Measurement) -> Prepared:
-        """Metrics of a measurement, with the joints that nothing determines.
+        """Return the metrics of a measurement, and the joints that are not determined.
 
         Raises:
-            SolveError: The rows are not finite there.
+            SolveError: The rows are not finite at the measurement.
         """
         x, M = m.x, self.system.mass(m.x.q).dense
         is_same = m.known is m.known_velocity or bool((m.known == m.known_velocity).all())
-        is_whole = is_same and bool(m.known.all())
-        if is_whole and self._coupled is not None:
+        is_complete = is_same and bool(m.known.all())
+        if is_complete and self._coupled is not None:
             metric = Metric(M, None)
-            return Prepared(metric, metric, self._none, is_whole)
+            return Prepared(metric, metric, self._none, is_complete)
         rows = self._on_rows.rows(x.t, x.q)
         metric, undetermined = metric_of(M, rows[1], m.known, self._amplification)
-        of_velocity = metric
+        velocity_metric = metric
         if not is_same or self._on_rows.has_rates:
-            J = self._on_rows.held(x.t, x.q, rows[1])
-            of_velocity, _ = metric_of(M, J, m.known_velocity, self._amplification)
-        return Prepared(metric, of_velocity, undetermined, is_whole, rows)
+            J = self._on_rows.velocity_rows(x.t, x.q, rows[1])
+            velocity_metric, _ = metric_of(M, J, m.known_velocity, self._amplification)
+        return Prepared(metric, velocity_metric, undetermined, is_complete, rows)
 
     def project(self, m: Measurement, prepared: Prepared | None = None) -> ProjectedState:
-        """The nearest consistent state.
+        """Return the nearest consistent state.
 
         Args:
-            prepared: What `prepare` gave for it, where that is at hand.
+            m: The measurement.
+            prepared: Result of `prepare` for m; None to compute it.
 
         Raises:
-            SolveError: There is none near the measurement, limits and rows contradict one
-                another, or the answer does not pass the check.
+            SolveError: There is none near the measurement, limits and rows contradict each other,
+                or the result does not pass its verification.
         """
         x, prepared = m.x, prepared or self.prepare(m)
-        metric, of_velocity, undetermined, is_whole, rows = prepared
+        metric, velocity_metric, undetermined, is_complete, rows = prepared
         near = None
         if self._coupled is not None:
-            near = self._coupled.find(x, metric.W, of_velocity.W)
+            near = self._coupled.find(x, metric.W, velocity_metric.W)
         if near is None:
             rows = rows or self._on_rows.rows(x.t, x.q)
-            near = self._on_rows.find(x, metric, of_velocity, rows)
+            near = self._on_rows.find(x, metric, velocity_metric, rows)
         raw, q, v = x, near.q, near.v
-        if not is_whole:
+        if not is_complete:
             raw = State(x.t, np.where(m.known, x.q, q), np.where(m.known_velocity, x.v, v))
         if self._coupled is not None:
             gap, rate = self._coupled.violation(raw)
         else:
-            gap, rate = self._on_rows.violation(raw, rows if is_whole else None)
+            gap, rate = self._on_rows.violation(raw, rows if is_complete else None)
         excess = raw.q - np.minimum(np.maximum(raw.q, self.lower), self.upper)
         return ProjectedState(
             *(State(x.t, q, v), near.lam, near.mu, gap, rate, excess),
@@ -165,19 +170,21 @@ class StateProjector:
 
 
 class ProjectedState(NamedTuple):
-    """The nearest consistent state, and how far the measurement was from it.
+    """Nearest consistent state, and how far the measurement was from it.
 
-    The multipliers are no forces of the mechanism: W (q - q_m) = J' multipliers + limit
-    multipliers. They tell how hard each row pushed the measurement onto the constraints.
+    The multipliers are not forces of the mechanism. They satisfy W (q - q_m) = J' multipliers +
+    limit_multipliers, so they show how much each row displaced the measurement.
 
     Attributes:
-        multipliers: Of the rows, unit of the row's force times s^2, shape (m,).
-        limit_multipliers: Of the limits, positive at a lower one, shape (nv,).
-        gap: g of the measurement, joints that it lacks taken from x [rad or m], shape (m,).
-        rate: g' likewise [1/s], shape (m,).
-        excess: How far it is beyond a limit, negative below a lower one, shape (nv,).
-        undetermined: Joints that neither measurement nor rows place: they stay, shape (nv,).
-        iterations: Steps that the position took, of Newton's method or quadratic programs.
+        x: The consistent state.
+        multipliers: Multipliers of the rows [unit of the row's force times s^2], shape (m,).
+        limit_multipliers: Multipliers of the limits, positive at a lower one, shape (nv,).
+        gap: g of the measurement, with unmeasured joints from x [rad or m], shape (m,).
+        rate: g' of the measurement, with unmeasured joints from x [1/s], shape (m,).
+        excess: Distance beyond a limit, negative below a lower one, shape (nv,).
+        undetermined: Joints that neither measurement nor rows determine; they keep their position,
+            shape (nv,).
+        iterations: Newton steps or quadratic programs for the position.
         condition: Condition number of the rows in the metric; 1 with couplings alone.
     """
 
@@ -207,16 +214,16 @@ class Measurement(NamedTuple):
 
 
 class ObservedState:
-    """A consistent state of all joints from measured independent ones.
+    """Consistent state of all joints from measured independent joints.
 
-    Couplings give q = F(y) and v = G y'; then follows the nearest state on the loops, if there are
-    any.
+    Couplings yield q = F(y) and v = G y'; in a mechanism with loops the result is projected onto
+    them.
 
     Args:
         system: The system with the bilateral rows to keep.
 
     Attributes:
-        moved: How far a joint of the last state was moved onto the loops [rad or m].
+        correction: Largest displacement of a joint of the last state by the projection [rad or m].
         dependent: Positions of the dependent joints of the last state [rad or m].
     """
 
@@ -227,16 +234,16 @@ class ObservedState:
         self._nv = int(system.robot.model.nv)
         self._slopes: Slopes = [0.0] * len(couplings.pairs)
         self._dependent_q = [pair.child_q for pair in couplings.pairs]
-        self.moved = 0.0
+        self.correction = 0.0
         self.dependent = np.zeros(len(couplings.pairs))
 
     def state(self, t: float, position: Array, velocity: Array) -> State:
-        """The state at a time.
+        """Return the state at a time.
 
         Args:
-            t: [s].
-            position: Independent joints [rad or m], shape (ny,).
-            velocity: [rad/s or m/s], shape (nv_y,).
+            t: Time [s].
+            position: Positions of the independent joints [rad or m], shape (ny,).
+            velocity: Their velocities [rad/s or m/s], shape (nv_y,).
         """
         q, v = self._neutral.copy(), np.zeros(self._nv)
         q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
@@ -244,40 +251,42 @@ class ObservedState:
             self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
             self.dependent = q[self._dependent_q]
         x = State(t, q, v)
-        if self._system.held.rows:
+        if self._system.bilateral.rows:
             x = project(self._system, x)
-            self.moved = float(np.abs(x.q - q).max())
+            self.correction = float(np.abs(x.q - q).max())
         return x
 
 
 class Prepared(NamedTuple):
-    """The beginning of a projection.
+    """Metrics and rows of a measurement.
 
     Attributes:
-        undetermined: Joints whose position neither measurement nor rows place, shape (nv,).
-        is_whole: Whether all of both was measured.
-        rows: At the measurement; None where they need not be formed.
+        metric: Metric of positions.
+        velocity_metric: Metric of velocities.
+        undetermined: Joints whose position is not determined, shape (nv,).
+        is_complete: Whether all positions and velocities were measured.
+        rows: g and J at the measurement; None if they are not needed.
     """
 
     metric: Metric
-    of_velocity: Metric
+    velocity_metric: Metric
     undetermined: NDArray[np.bool_]
-    is_whole: bool
+    is_complete: bool
     rows: Rows | None = None
 
 
 class NearestOnRows:
-    """Successive quadratic programs for the configuration, one for the velocity.
+    """Nearest state on constraints of any kind, by quadratic programs.
 
     Args:
         system: All joints of a fixed-base robot.
-        lower: Smallest positions [rad or m], shape (n,).
-        upper: Largest positions [rad or m], shape (n,).
-        of_position: Forces of the limits.
-        of_velocity: Forces of those that are reached.
+        lower: Lower limits of positions [rad or m], shape (n,).
+        upper: Upper limits of positions [rad or m], shape (n,).
+        of_position: Solver for the forces of position limits.
+        of_velocity: Solver for the forces of limits that are reached.
 
     Attributes:
-        has_rates: Whether velocities have rows that positions do not have.
+        has_rates: Whether there are velocity constraints beside those of positions.
     """
 
     def __init__(
@@ -294,52 +303,53 @@ class NearestOnRows:
         self._configuration = NearestConfiguration(system, lower, upper, of_position)
         self._program = MoveQp(system.nv, of_velocity)
         self._zero = np.zeros(system.nv)
-        self.has_rates = len(system.held.rows) > len(system.rows)
+        self.has_rates = len(system.bilateral.rows) > len(system.rows)
 
     def rows(self, t: float, q: Array) -> Rows:
-        """Residual g and Jacobian J, shapes (m,) and (m, n).
+        """Return the residual g and the Jacobian J, shapes (m,) and (m, n).
 
         Raises:
             SolveError: They are not finite.
         """
         return self._configuration.rows(t, q)
 
-    def find(self, x: State, metric: Metric, of_velocity: Metric, rows: Rows) -> Nearest:
-        """The nearest state.
+    def find(self, x: State, metric: Metric, velocity_metric: Metric, rows: Rows) -> Nearest:
+        """Return the nearest state.
 
         Args:
-            x: The measurement, from which it starts.
-            metric: W of positions.
-            of_velocity: W of velocities.
-            rows: What `rows` gives for x.
+            x: The measurement, where the search starts.
+            metric: Metric of positions.
+            velocity_metric: Metric of velocities.
+            rows: Result of `rows` at x.
 
         Raises:
-            SolveError: There is none near it, limits and rows contradict one another, or the
-                answer does not pass the check.
+            SolveError: There is none near x, limits and rows contradict each other, or the result
+                does not pass its verification.
         """
-        found = self._configuration.find(x.t, x.q, metric, rows)
-        if found is None:
+        nearest = self._configuration.find(x.t, x.q, metric, rows)
+        if nearest is None:
             raise SolveError(self._too_far(x.q, rows[0]))
-        q, move, at_q, iterations = found
+        q, move, at_q, iterations = nearest
         _check(q - x.q, metric, move, at_q)
-        v = self._velocity(x, q, self.held(x.t, q, at_q[1]), of_velocity)
+        v = self._velocity(x, q, self.velocity_rows(x.t, q, at_q[1]), velocity_metric)
         return Nearest(q, v, move.lam, move.mu, iterations, move.condition)
 
-    def held(self, t: float, q: Array, J: Array) -> Array:
-        """Jacobian of all rows that velocities keep, from that of positions at the same q."""
-        return self._system.held.jacobian(t, q) if self.has_rates else J
+    def velocity_rows(self, t: float, q: Array, J: Array) -> Array:
+        """Return the Jacobian of all rows for velocities, given that for positions at q."""
+        return self._system.bilateral.jacobian(t, q) if self.has_rates else J
 
     def violation(self, x: State, rows: Rows | None = None) -> tuple[Array, Array]:
-        """Residual g and its rate g' at any state, shapes (m,) and (m,).
+        """Return the residual g and its rate g' at any state, shapes (m,) and (m,).
 
         Args:
-            rows: What `rows` gives for it, where that is at hand.
+            x: State of all joints.
+            rows: Result of `rows` at x; None to compute it.
         """
         g, J = rows or self.rows(x.t, x.q)
         return g, J.dot(x.v) + self._system.rate(x.t, x.q)
 
     def _velocity(self, x: State, q: Array, J: Array, metric: Metric) -> Array:
-        rate = self._system.held.rate(x.t, q)
+        rate = self._system.bilateral.rate(x.t, q)
         floor, ceiling = stops(q, self._lower, self._upper)
         c = -(J.dot(x.v) + rate)
         try:
@@ -352,11 +362,13 @@ class NearestOnRows:
         v = np.minimum(np.maximum(x.v + p, floor), ceiling)
         left = largest(J.dot(v) + rate)
         if not left <= ON_MANIFOLD * (1.0 + largest(x.v)):
-            raise SolveError(f"no consistent velocity: the rows keep a rate of {left:.1e} 1/s")
+            raise SolveError(
+                f"no consistent velocity: a rate of {left:.1e} 1/s remains in the rows"
+            )
         return v
 
     def _too_far(self, q: Array, g: Array) -> str:
-        """Message for a measurement without a state near it."""
+        """Return the message for a measurement without a consistent state near it."""
         beyond = q - np.minimum(np.maximum(q, self._lower), self._upper)
         off = [(row.name, g[i]) for i, row in enumerate(self._system.rows)]
         off += [(f"limit of {joint.name}", beyond[joint.v]) for joint in self._system.robot.joints]
@@ -366,7 +378,7 @@ class NearestOnRows:
 
 
 def _check(p: Array, metric: Metric, move: Move, rows: Rows) -> None:
-    """Raise unless a solution is on the manifold and the nearest there."""
+    """Verify that a solution is on the manifold and satisfies the optimality condition."""
     g, J = rows
     if not largest(g) <= ON_MANIFOLD:
         raise SolveError(f"the projected state is {largest(g):.1e} rad or m off its constraints")
@@ -377,14 +389,15 @@ def _check(p: Array, metric: Metric, move: Move, rows: Rows) -> None:
 
 
 def largest(values: Array) -> float:
-    """Largest absolute value, 0 of none."""
+    """Return the largest absolute value, 0 for an empty array."""
     return float(np.abs(values).max(initial=0.0))
 
 
 class NearestConfiguration:
-    """Full steps first; where they do not converge, downhill along the manifold.
+    """Nearest configuration by sequential quadratic programming.
 
-    The caller checks the result.
+    Full steps come first; where they do not converge, the search descends along the manifold. The
+    caller verifies the result.
 
     Args:
         system: All joints of a fixed-base robot.
@@ -401,7 +414,7 @@ class NearestConfiguration:
         self._far = np.full(system.nv, np.inf)
 
     def rows(self, t: float, q: Array) -> Rows:
-        """Residual g and Jacobian J, shapes (m,) and (m, nv).
+        """Return the residual g and the Jacobian J, shapes (m,) and (m, nv).
 
         Raises:
             SolveError: They are not finite.
@@ -417,30 +430,32 @@ class NearestConfiguration:
     def find(
         self, t: float, measured: Array, metric: Metric, rows: Rows
     ) -> tuple[Array, Move, Rows, int] | None:
-        """The nearest configuration.
+        """Return the nearest configuration.
 
         Args:
-            measured: q_m; where it is beyond limits, the search begins at them, shape (nv,).
-            rows: What `rows` gives for q_m.
+            t: Time [s].
+            measured: q_m, shape (nv,); where it is beyond limits, the search starts at them.
+            metric: Metric of positions.
+            rows: Result of `rows` at q_m.
 
         Returns:
-            q, its multipliers, g and J at q, and the number of quadratic programs; None where
-            none is found.
+            q, its multipliers, g and J at q, and the number of quadratic programs; None if the
+            search fails.
 
         Raises:
-            SolveError: Rows or masses are not finite on the way.
+            SolveError: Rows or masses are not finite during the search.
         """
         start = self._clipped(measured)
         if (start != measured).any():
             rows = self.rows(t, start)
-        found = self._full_steps(t, measured, start, metric, rows)
-        found = found or self._downhill(t, measured, start, metric)
-        if found is None:
+        optimum = self._full_steps(t, measured, start, metric, rows)
+        optimum = optimum or self._downhill(t, measured, start, metric)
+        if optimum is None:
             return None
-        move, iterations = found
+        move, iterations = optimum
         q = self._clipped(measured + move.p)
         rows = self.rows(t, q)
-        if largest(rows[0]) > ON_MANIFOLD:  # limits are kept relative to what pulls at them
+        if largest(rows[0]) > ON_MANIFOLD:  # the program satisfies limits relative to its forces
             landed = self._landed(t, q, metric)
             q = q if landed is None else self._clipped(landed)
             rows = self.rows(t, q)
@@ -467,7 +482,7 @@ class NearestConfiguration:
     def _downhill(
         self, t: float, measured: Array, start: Array, metric: Metric
     ) -> tuple[Move, int] | None:
-        """Every iterate on the manifold and nearer than the last one."""
+        """Descend with iterates on the manifold, each nearer than the last one."""
         landed, share, H = self._landed(t, start, metric), 1.0, metric
         if landed is None:
             return None
@@ -482,11 +497,11 @@ class NearestConfiguration:
                 return move._replace(p=q + move.p - measured), iteration
             least = (1.0 + _ROUNDING) * away.dot(metric.W.dot(away))
             while share > _SMALLEST_SHARE:
-                there = self._landed(t, q + move.p * min(share, BRANCH_STEP / length), metric)
-                if there is not None:
-                    away = there - measured
+                candidate = self._landed(t, q + move.p * min(share, BRANCH_STEP / length), metric)
+                if candidate is not None:
+                    away = candidate - measured
                     if away.dot(metric.W.dot(away)) <= least:
-                        q = there
+                        q = candidate
                         break
                 share *= 0.5
             else:
@@ -495,7 +510,7 @@ class NearestConfiguration:
         return None
 
     def _towards(self, q: Array, pull: Array, H: Metric, rows: Rows) -> Move | None:
-        """The step from q, with H for the second derivatives; None where limits forbid any."""
+        """Return the step from q with the Hessian H; None where limits allow no step."""
         g, J = rows
         try:
             return self._program.solve(H, pull, J, -g, self._lower - q, self._upper - q)
@@ -503,13 +518,13 @@ class NearestConfiguration:
             return None
 
     def _curved(self, t: float, q: Array, lam: Array, metric: Metric) -> Metric:
-        """W less the curvature of the rows, where that is still convex along them; else W."""
+        """Return W minus the curvature of the rows if that is convex along them, else W."""
         n = len(q)
         H, half = metric.W.copy(), np.zeros(n)
         for i in range(n):
             half[i] = _HALF
-            turned = self.rows(t, q + half)[1] - self.rows(t, q - half)[1]
-            H[:, i] -= turned.T.dot(lam) / (2.0 * _HALF)
+            change = self.rows(t, q + half)[1] - self.rows(t, q - half)[1]
+            H[:, i] -= change.T.dot(lam) / (2.0 * _HALF)
             half[i] = 0.0
         H = 0.5 * (H + H.T)
         _, J = self.rows(t, q)
@@ -518,13 +533,13 @@ class NearestConfiguration:
         return curved if is_convex(curved, J) else metric
 
     def _landed(self, t: float, q: Array, metric: Metric) -> Array | None:
-        """Newton's method on g with the shortest steps; None if it does not close."""
+        """Solve g = 0 by Newton's method with the smallest steps; None if it fails."""
         for _ in range(_LANDING):
             g, J = self.rows(t, q)
             if largest(g) <= LANDED:
                 return q
             move = self._towards(q, self._zero, metric, (g, J))
-            if move is None:  # a later linearisation may know a way back
+            if move is None:  # a later linearisation may satisfy the limits again
                 move = self._program.solve(metric, self._zero, J, -g, -self._far, self._far)
             length = largest(move.p)
             if not length > LANDED:
@@ -540,21 +555,20 @@ class NearestConfiguration:
 def metric_of(
     M: Array, J: Array, known: NDArray[np.bool_], amplification: float
 ) -> tuple[Metric, NDArray[np.bool_]]:
-    """Mass metric of the measured joints.
+    """Return the mass metric of the measured joints.
 
-    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
-    joints the rows leave free, or would place with errors larger than those of the measured
-    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
-    them.
+    An unmeasured joint has no weight, so that the rows alone determine it. Joints that the rows
+    leave free, or would determine with errors larger than those of measured joints by more than
+    `amplification`, keep their mass: they stay where they are, as far as the rows allow.
 
     Args:
         M: Mass matrix, shape (n, n).
-        J: Rows, shape (m, n).
+        J: Jacobian of the rows, shape (m, n).
         known: Measured joints, shape (n,).
-        amplification: See above; in raw units, rad and m alike.
+        amplification: Largest accepted amplification of errors, with rad and m treated alike.
 
     Returns:
-        The metric, and the joints without measurement that the rows leave free, shape (n,).
+        The metric, and the unmeasured joints that the rows leave free, shape (n,).
     """
     undetermined = np.zeros(len(M), dtype=np.bool_)
     if known.all():

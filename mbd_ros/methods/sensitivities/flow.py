@@ -1,7 +1,7 @@
-"""The contract of a motion with events, as a return map asks for it: x+ = P(x).
+"""Contract of a motion with events (hybrid flow), for return maps x+ = P(x).
 
-A cycle is a sequence of `Segment`s: smooth motion in one mode, and the event that ends it. A
-`HybridFlow` follows them; `simulated_flow` is that of a scene.
+A cycle is a sequence of `Segment`s, each a smooth motion in one mode and the event that ends it. A
+`HybridFlow` computes them; `simulated_flow` implements it for scenes.
 """
 
 from __future__ import annotations
@@ -13,83 +13,84 @@ import numpy as np
 
 from mbd_ros.core.state import Array, State
 
-_UNUSED = 1.0e-9  # part of a coordinate in a direction: rounding
+_UNUSED = 1.0e-9  # share of a coordinate in a direction below which it is rounding
 
 
 class HybridFlow(Protocol):
-    """Smooth motions with events between them; tangents have the order q, v, z.
+    """Smooth motions with events between them; tangent steps have the order q, v, z.
 
     Attributes:
-        size: Length of a tangent.
+        size: Dimension of a tangent step.
     """
 
     size: int
 
     def plus(self, x: State, d: Array) -> State:
-        """The state x (+) d, at the time and in the mode of x."""
+        """Return the state x (+) d, at the time and in the mode of x."""
         ...
 
     def minus(self, x1: State, x0: State) -> Array:
-        """The d with x0 (+) d = x1, shape (size,)."""
+        """Return the step d with x0 (+) d = x1, shape (size,)."""
         ...
 
     def basis(self, x: State) -> Array:
-        """Orthonormal tangents along which a consistent state stays so, shape (size, d)."""
+        """Return an orthonormal basis of the steps between consistent states, shape (size, d)."""
         ...
 
-    def onto(self, x: State) -> State:
-        """The nearest state that is consistent in the mode of x."""
+    def project(self, x: State) -> State:
+        """Return the nearest state that is consistent in the mode of x."""
         ...
 
     def cycle(self, x: State) -> tuple[Segment, ...]:
-        """The motion from a state to the end of one cycle, that event included.
+        """Return the motion from a state to the end of one cycle, including its last event.
 
         Raises:
-            FallError: It does not come to its end.
+            FallError: The motion does not complete the cycle.
         """
         ...
 
     def follow(self, segment: Segment, x: State) -> State:
-        """The end of a smooth motion from x with the steps of a segment, guards ignored.
+        """Return the end of a smooth motion from x with the steps of a segment, without guards.
+
+        The steps are fixed, so that differences of ends contain no noise from a step control.
 
         Args:
-            segment: Gives mode and lengths of steps, which are not chosen anew: differences of
-                ends have no noise of a step control.
-            x: Near the begin of the segment.
+            segment: Segment with the mode and the steps.
+            x: State near the begin of the segment.
         """
         ...
 
     def rate(self, x: State) -> Array:
-        """Rate of a state in its mode, in the tangent, shape (size,)."""
+        """Return the rate of a state in its mode, in the tangent, shape (size,)."""
         ...
 
     def value(self, segment: Segment, x: State) -> float:
-        """The guard at the end of a segment, at a state near that end."""
+        """Return the value of the guard of a segment at a state near its end."""
         ...
 
     def reset(self, segment: Segment, x: State) -> State:
-        """The state after the event at the end of a segment, from one at which its guard is 0."""
+        """Return the state after the event of a segment, from a state on its guard."""
         ...
 
     def is_timed(self, segment: Segment) -> bool:
-        """Whether the event at the end comes a given time after the begin of its phase."""
+        """Return whether the event occurs at a fixed time after the begin of its phase."""
         ...
 
     def ends_phase(self, segment: Segment) -> bool:
-        """Whether the event at the end begins a phase, whose time counts from there."""
+        """Return whether the event begins a phase, whose time counts from there."""
         ...
 
 
 class Segment(NamedTuple):
-    """Smooth motion, and the event that ends it.
+    """Smooth motion in one mode, and the event that ends it.
 
     Attributes:
-        begin: Consistent state, in the mode of the motion.
-        times: Ends of its steps, the begin first [s], shape (n + 1,).
+        begin: Consistent initial state, in the mode of the motion.
+        times: Time of the begin and of the ends of all steps [s], shape (n + 1,).
         end: State at which the guard of the event is zero, in the same mode.
-        after: State after the event, in the mode that follows.
-        event: Names of what happens at its end.
-        guard: Whatever the flow needs to know of the guard.
+        after: State after the event, in the following mode.
+        event: Names of the events at the end.
+        guard: Data of the guard that the flow needs.
     """
 
     begin: State
@@ -101,11 +102,11 @@ class Segment(NamedTuple):
 
 
 class Travel:
-    """Directions along which a motion may begin anywhere.
+    """Directions of travel, along which the dynamics do not depend on the position.
 
     Args:
-        coordinates: The coordinates, m of them.
-        directions: Orthonormal combinations of them, shape (k, m); None for each by itself.
+        coordinates: Coordinates of travel, m of them.
+        directions: Orthonormal combinations of them, shape (k, m); None for each coordinate alone.
     """
 
     def __init__(
@@ -116,43 +117,44 @@ class Travel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the coordinates that any direction has a part of."""
+        """Names of the coordinates that a direction contains."""
         used = np.abs(self.directions).max(axis=0, initial=0.0) > _UNUSED
         return tuple(c.name for c, is_used in zip(self.coordinates, used, strict=True) if is_used)
 
     def place(self, x: State) -> Array:
-        """Place along the directions [m], shape (k,)."""
-        values = np.array([one.place(x.q) for one in self.coordinates])
+        """Return the position along the directions [m], shape (k,)."""
+        values = np.array([coordinate.place(x.q) for coordinate in self.coordinates])
         place: Array = self.directions.dot(values)
         return place
 
     def tangents(self, x: State, size: int) -> Array:
-        """Tangents along the directions, shape (size, k)."""
-        along = [one.tangent(x.q, size) for one in self.coordinates]
+        """Return the tangent steps along the directions, shape (size, k)."""
+        along = [coordinate.tangent(x.q, size) for coordinate in self.coordinates]
         tangents: Array = np.reshape(along, (-1, size)).T.dot(self.directions.T)
         return tangents
 
-    def back(self, flow: Any, x: State, origin: State) -> State:
-        """The state moved along the directions to the place of another one."""
+    def move_back(self, flow: Any, x: State, origin: State) -> State:
+        """Move a state along the directions to the position of another one."""
         if not len(self.directions):
             return x
-        moved = self.place(origin) - self.place(x)
-        back: State = flow.plus(x, self.tangents(x, flow.size).dot(moved))
-        return back
+        distance = self.place(origin) - self.place(x)
+        moved: State = flow.plus(x, self.tangents(x, flow.size).dot(distance))
+        return moved
 
-    def without(self, x: State, size: int) -> Array:
-        """Projector of tangents along the directions to a fixed place, shape (size, size)."""
+    def projector(self, x: State, size: int) -> Array:
+        """Return the projector that removes the directions from a tangent step, (size, size)."""
         along = self.tangents(x, size)
         return np.eye(size) - along.dot(along.T)
 
 
 class TravelCoordinate(NamedTuple):
-    """A translation of everything that moves with one joint.
+    """Coordinate that translates everything carried by one joint.
 
     Attributes:
-        q: Where its coordinate is in q; the place of a free body, its first.
-        v: Where its rate is in v; that of a free body, its first.
-        axis: Of the world, 0 to 2, for a free body; -1 for a joint of one coordinate.
+        name: Name of the coordinate.
+        q: Index of the coordinate in q, for a free body of its first one.
+        v: Index of its rate in v, for a free body of its first one.
+        axis: World axis of a free body, 0 to 2; -1 for a joint with one coordinate.
     """
 
     name: str
@@ -161,11 +163,11 @@ class TravelCoordinate(NamedTuple):
     axis: int = -1
 
     def place(self, q: Array) -> float:
-        """Its value [m]."""
+        """Return the value of the coordinate [m]."""
         return float(q[self.q + max(self.axis, 0)])
 
     def tangent(self, q: Array, size: int) -> Array:
-        """The tangent along it, shape (size,)."""
+        """Return the tangent step along the coordinate, shape (size,)."""
         along = np.zeros(size)
         if self.axis < 0:
             along[self.v] = 1.0

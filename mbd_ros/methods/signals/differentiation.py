@@ -1,7 +1,7 @@
-"""Velocity and acceleration from sampled positions: causal, and of whole recordings.
+"""Velocity and acceleration from sampled positions, causally or for complete recordings.
 
-It lags by a stated delay and runs live. `motion/filters.py` sees past and future, does
-not lag and needs the whole recording. Neither takes the place of the other.
+`CausalDifferentiator` runs live and lags by a known delay. `local_polynomials` and
+`motion/filters.py` have no lag, but need the complete recording.
 """
 
 from __future__ import annotations
@@ -19,32 +19,31 @@ from mbd_ros.errors import DataError
 
 TURN = 2.0 * math.pi
 _ONE_PERCENT = {2: 6.6384, 3: 8.4059}  # roots of exp(-x) sum_{k < order} x^k/k! = 0.01
-_HALF_TURN = 0.499  # of a turn: beyond, rounding decides which way a joint went
-_SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers are numbers
+_HALF_TURN = 0.499  # turns; beyond, rounding decides in which direction a joint turned
+_SLOWEST, _FASTEST = 1.0e-6, 1.0e9  # cut-off frequencies [Hz] whose powers do not overflow
 _DEGREE = 4
 
 
 class CausalDifferentiator:
-    """Velocity and acceleration of joints from the past only, sample by sample.
+    """Causal differentiation of joint positions, sample by sample.
 
-    The position passes unchanged. A joint whose velocity is measured keeps that velocity and gets
-    its acceleration from a second-order `LowPass`; any other gets both from a third-order one.
-    The output of a filter lags by its `delay`.
+    Positions are not filtered. A joint with a measured velocity keeps it, and its acceleration
+    comes from a second-order `LowPass`; any other joint gets both from a third-order one. The
+    output of a filter lags by its `delay`.
 
     Args:
         cutoff: Half-power frequency of the filters [Hz], > 0.
-        velocity_limit: Steps beyond limit x dt are rejected as encoder glitches [rad/s or m/s],
-            shape (n,); inf for a joint without. A joint that really moves faster is no glitch: its
-            step is within limit x dt of what the measured velocity says or, where none is
-            measured, of the step before.
+        velocity_limit: Velocity beyond which a position step counts as an encoder glitch [rad/s or
+            m/s], shape (n,); inf for no limit. A step that agrees within limit x dt with the
+            measured velocity or, without one, with the previous step, is not a glitch.
         wraps: Joints whose angle may jump by full turns, shape (n,) of bool.
-        patience: Number of glitches in a row that are believed: the filters restart there.
-        rewind: A stamp older than the last by more than this is a new beginning [s].
+        patience: After this many glitches in a row the filters restart at the new position.
+        rewind: A stamp that is older than the last one by more than this restarts the filters [s].
 
     Attributes:
-        position: [rad or m], unwrapped, shape (n,).
-        velocity: [rad/s or m/s], shape (n,).
-        acceleration: [rad/s^2 or m/s^2], shape (n,).
+        position: Unwrapped positions [rad or m], shape (n,).
+        velocity: Velocities [rad/s or m/s], shape (n,).
+        acceleration: Accelerations [rad/s^2 or m/s^2], shape (n,).
     """
 
     def __init__(
@@ -84,25 +83,25 @@ class CausalDifferentiator:
         return self._of_velocity if self._all_measured else self._of_position
 
     def reset(self) -> None:
-        """Forget everything; the next sample is a beginning."""
+        """Discard all samples, so that the next one is the first."""
         self._stamp: int | None = None
         self._jumps, self._last_step, self._all_measured = 0, 0, False
         self._position_runs, self._before = False, (np.zeros(len(self._ones)), self._rewind)
 
-    @property
-    def memory(self) -> tuple[Any, ...]:
-        """State by which the next samples are judged; may be set, to its value before a sample."""
-        filters = self._of_position.memory, self._of_velocity.memory
-        answer = self.position, self.velocity, self.acceleration, self._measured
-        judged = self._stamp, self._jumps, self._last_step, self._before
-        return filters, answer, judged, (self._all_measured, self._position_runs)
+    def checkpoint(self) -> tuple[Any, ...]:
+        """Return everything on which the verdict and the result of the next sample depend."""
+        filters = self._of_position.checkpoint(), self._of_velocity.checkpoint()
+        outputs = self.position, self.velocity, self.acceleration, self._measured
+        verdict = self._stamp, self._jumps, self._last_step, self._before
+        return filters, outputs, verdict, (self._all_measured, self._position_runs)
 
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        filters, answer, judged, (self._all_measured, self._position_runs) = memory
-        self._of_position.memory, self._of_velocity.memory = filters
-        self.position, self.velocity, self.acceleration, self._measured = answer
-        self._stamp, self._jumps, self._last_step, self._before = judged
+    def restore(self, checkpoint: tuple[Any, ...]) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        filters, outputs, verdict, (self._all_measured, self._position_runs) = checkpoint
+        self._of_position.restore(filters[0])
+        self._of_velocity.restore(filters[1])
+        self.position, self.velocity, self.acceleration, self._measured = outputs
+        self._stamp, self._jumps, self._last_step, self._before = verdict
 
     def update(
         self,
@@ -111,14 +110,14 @@ class CausalDifferentiator:
         velocity: Array,
         since: NDArray[np.int64] | None = None,
     ) -> SampleStatus:
-        """Take the next sample.
+        """Process the next sample.
 
         Args:
             stamp: Time [ns].
-            position: [rad or m], shape (n,).
-            velocity: [rad/s or m/s], not finite where not measured, shape (n,).
-            since: Time since the last sample of each joint [ns], shape (n,), where that is not the
-                last sample of all.
+            position: Positions [rad or m], shape (n,).
+            velocity: Velocities [rad/s or m/s], not finite where not measured, shape (n,).
+            since: Time since the last sample of each joint [ns], shape (n,), if joints were
+                missing in the last sample.
 
         Returns:
             The verdict. After OLD, JUMP and NOT_FINITE the attributes are those of the last
@@ -163,17 +162,19 @@ class CausalDifferentiator:
     def update_all(
         self, stamps: NDArray[np.int64], position: Array, velocity: Array
     ) -> tuple[Array, Array, Array] | None:
-        """Take many samples at once, where all of them pass, as `update` one by one, to rounding.
+        """Process many samples at once, if `update` would accept all of them.
+
+        The result agrees with that of calling `update` for each sample to rounding.
 
         Args:
             stamps: Times [ns], shape (m,), m > 0.
-            position: [rad or m], shape (m, n).
-            velocity: [rad/s or m/s], not finite where not measured, shape (m, n).
+            position: Positions [rad or m], shape (m, n).
+            velocity: Velocities [rad/s or m/s], not finite where not measured, shape (m, n).
 
         Returns:
-            Position, velocity and acceleration, shape (m, n) each; None, and nothing changes, at
-            a beginning and where a sample may be anything but USED, or where a joint ceases to be
-            measured.
+            Position, velocity and acceleration, shape (m, n) each; None, without any effect, at
+            the beginning, if a verdict other than USED is possible, or if a measured velocity
+            ceases.
         """
         if self._stamp is None:
             return None
@@ -182,7 +183,7 @@ class CausalDifferentiator:
         if (steps <= 0).any() or (measured & self._measured != self._measured).any():
             return None
         with np.errstate(invalid="ignore", over="ignore"):
-            position, change = self._followed(position)
+            position, change = self._unwrap(position)
             slow = np.abs(change) <= self._limit * (steps * NANOSECOND)[:, None]
         if not (slow.all() and np.isfinite(change).all()):
             return None
@@ -198,8 +199,8 @@ class CausalDifferentiator:
         self._before = change[-1], self._last_step
         return position, rates, acceleration
 
-    def _followed(self, position: Array) -> tuple[Array, Array]:
-        """Positions without their full turns, and their changes; NaN where that is not clear."""
+    def _unwrap(self, position: Array) -> tuple[Array, Array]:
+        """Return unwrapped positions and their changes, NaN where the direction is ambiguous."""
         change = np.diff(position, axis=0, prepend=self.position[None])
         if self._wraps is None:
             return position, change
@@ -211,7 +212,7 @@ class CausalDifferentiator:
     def _derive_all(
         self, steps: NDArray[np.int64], position: Array, velocity: Array
     ) -> tuple[Array, Array]:
-        """Velocity and acceleration where some joints come without velocity."""
+        """Return velocity and acceleration if some joints have no measured velocity."""
         if not self._position_runs:
             slope = (position[0] - self.position) / (steps[0] * NANOSECOND)
             self._of_position.start(self.position, slope)
@@ -221,7 +222,7 @@ class CausalDifferentiator:
         return rates, np.where(self._measured, self._of_velocity.run(rates, steps)[1], second)
 
     def _is_glitch(self, rate: Array, velocity: Array) -> bool:
-        """Whether a joint is faster than its limit, and nothing says that it really moves so."""
+        """Return whether a joint exceeds its limit against its measured velocity or last step."""
         change, step = self._before
         with np.errstate(invalid="ignore", over="ignore"):
             before = change / (step * NANOSECOND)
@@ -247,7 +248,7 @@ class CausalDifferentiator:
         return outcome
 
     def _derive(self, step: int, position: Array, velocity: Array) -> None:
-        """A joint that came without velocity once is derived from its position until a reset."""
+        """Differentiate positions; joints without velocity once count as such until a reset."""
         measured = self._measured = self._measured & np.isfinite(velocity)
         self._all_measured = False
         if not self._position_runs:
@@ -309,7 +310,7 @@ class LowPass:
         self._step, self._product = 0, np.zeros((order + 1, order + 2))
 
     def start(self, signal: Array, slope: Array | float) -> None:
-        """Begin in the steady response to a signal of that slope."""
+        """Begin in the steady response to a signal with a constant slope."""
         self._last = np.zeros_like(self._last)
         self._last[0] = signal - self.delay * slope
         self._last[1] = slope
@@ -330,7 +331,7 @@ class LowPass:
         self.state = self._last[:-1]
 
     def _choose(self, step: int) -> None:
-        """Make `_product` that of a step [ns]."""
+        """Select the transition matrices of a step [ns]."""
         h = step * NANOSECOND
         e = math.exp(-self._w * h)
         weights = np.array((e, e * h, e * h * h, e / h, 1.0, 1.0 / h))
@@ -338,7 +339,7 @@ class LowPass:
         self._step = step
 
     def run(self, signals: Array, steps: NDArray[np.int64]) -> Array:
-        """Advance to many samples, as `update` does one by one, to rounding.
+        """Advance to many samples; equals `update` for each one to rounding.
 
         The samples are cut into as many stretches as one has samples. All stretches are passed at
         once as if each began at rest; what one hands to the next decays by D of the time since.
@@ -371,13 +372,13 @@ class LowPass:
         for k in range(1, length):
             y[k] += _product(D[k], y[k - 1])
         self._connect(y, self._decay(h.cumsum(axis=0)))
-        found = y.transpose(1, 2, 0, 3).reshape(order, count * length, size)[:, :n]
-        self._last = np.concatenate((found[:, -1], signals[-1:]))
+        states = y.transpose(1, 2, 0, 3).reshape(order, count * length, size)[:, :n]
+        self._last = np.concatenate((states[:, -1], signals[-1:]))
         self.state = self._last[:-1]
-        return found
+        return states
 
     def _connect(self, y: Array, since: Array) -> None:
-        """Add to stretches that begin at rest what the ones before leave, in place.
+        """Add the response to the state before each stretch to stretches that begin at rest.
 
         Args:
             y: Shape (length, order, count, size).
@@ -392,12 +393,12 @@ class LowPass:
             y[k] += _product(since[k], left)
 
     def _decay(self, h: Array) -> Array:
-        """D of times [s] of shape (k, m), shape (k, order, order, m)."""
+        """Return D at times [s] of shape (k, m), shape (k, order, order, m)."""
         e = np.exp(-self._w * h)
         return self._summed((e, e * h, e * h * h), slice(0, len(self.state)))
 
     def _gain(self, h: Array) -> Array:
-        """K+ - D K of times [s] of shape (k, m), > 0, shape (k, order, 2, m)."""
+        """Return K+ - D K at times [s] of shape (k, m), > 0, shape (k, order, 2, m)."""
         e = np.exp(-self._w * h)
         weights = (e, e * h, e * h * h, e / h, np.ones_like(h), 1.0 / h)
         return self._summed(weights, slice(len(self.state), None))
@@ -408,17 +409,17 @@ class LowPass:
         summed: Array = np.einsum("wkm,wrc->krcm", np.array(weights), terms)
         return summed
 
-    @property
-    def memory(self) -> Array:
-        """State on which the next steps depend; may be set, to an earlier value."""
+    def checkpoint(self) -> Array:
+        """Return the state on which the next steps depend."""
         return self._last
 
-    @memory.setter
-    def memory(self, kept: Array) -> None:
-        self._last, self.state = kept, kept[:-1]
+    def restore(self, checkpoint: Array) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        self._last = checkpoint
+        self.state = checkpoint[:-1]
 
     def _terms_of_step(self, order: int) -> Array:
-        """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h).
+        """Return the factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], e = exp(-w h).
 
         A last row keeps u+ as the u of the next step.
         """
@@ -443,13 +444,13 @@ class LowPass:
 
 
 def _folded(values: Array, length: int) -> Array:
-    """Samples in the order (place in their stretch, stretch), contiguous."""
+    """Return samples in the order (index in their stretch, stretch), contiguous."""
     stretches = values.reshape(-1, length, *values.shape[1:])
     return np.ascontiguousarray(stretches.swapaxes(0, 1))
 
 
 def _product(D: Array, y: Array) -> Array:
-    """D y of every stretch, shapes (order, order, m) and (order, count, size)."""
+    """Return D y of every stretch, shapes (order, order, m) and (order, count, size)."""
     terms = D[..., None] * y
     product: Array = terms[:, 0] + terms[:, 1]
     for column in range(2, len(y)):
@@ -464,7 +465,7 @@ def local_polynomials(
     *,
     half_width: int,
 ) -> tuple[Array, Array]:
-    """Velocity and acceleration of a whole recording, without lag.
+    """Return velocity and acceleration of a complete recording, without lag.
 
     A polynomial of degree 4 is fitted by least squares to each sample and `half_width` neighbours
     on either side; its derivatives at the sample are the result. The first and last `half_width`
@@ -500,7 +501,7 @@ def local_polynomials(
 
 
 def _local_derivatives(stamps: NDArray[np.int64], half_width: int) -> tuple[Array, Array]:
-    """Weights of the window's samples in the first and second derivative, shape (n, width)."""
+    """Return weights of samples in the first and second derivative, shape (n, width) each."""
     starts = _window_starts(len(stamps), half_width)
     windows = starts[:, None] + np.arange(2 * half_width + 1)
     t = (stamps[windows] - stamps[:, None]) * NANOSECOND

@@ -1,4 +1,4 @@
-"""Derivatives as OpenSim's inverse dynamics takes them: its low-pass and quintic splines."""
+"""Derivatives by the low-pass and quintic splines of OpenSim's inverse dynamics."""
 
 from typing import Any, NamedTuple
 
@@ -10,18 +10,18 @@ from mbd_ros.errors import DataError
 
 _DEGREE = 5
 _FEWEST = _DEGREE + 1  # samples
-_HIGHEST, _INSTEAD = 0.5, 0.49  # cut-off per sampling rate beyond which OpenSim takes the other
-_KEPT = 3  # first samples, which a pass hands on as they are
+_HIGHEST, _INSTEAD = 0.5, 0.49  # relative cut-off that OpenSim replaces by the second one
+_UNFILTERED = 3  # first samples of a pass
 
 
 class Splined(NamedTuple):
     """A motion and its derivatives.
 
     Attributes:
-        stamps: Times [ns], shape (n,); those of the samples, unless they had to be resampled.
-        position: [rad or m], shape (n, m).
-        velocity: [rad/s or m/s], same shape.
-        acceleration: [rad/s^2 or m/s^2], same shape.
+        stamps: Times [ns], shape (n,); those of the samples, unless they were resampled.
+        position: Positions [rad or m], shape (n, m).
+        velocity: Velocities [rad/s or m/s], shape (n, m).
+        acceleration: Accelerations [rad/s^2 or m/s^2], shape (n, m).
     """
 
     stamps: NDArray[np.int64]
@@ -33,16 +33,16 @@ class Splined(NamedTuple):
 def opensim_splines(
     stamps: NDArray[np.int64], position: Array, cutoff: float | None = None
 ) -> Splined:
-    """Quintic splines through samples behind a low-pass, as `InverseDynamicsTool` has them.
+    """Differentiate samples by low-pass and quintic splines like OpenSim's `InverseDynamicsTool`.
 
-    With a cut-off: half the samples are put before and behind by odd reflection, 2 x_0 - x_i;
-    where steps differ all is resampled at the smallest one; a third-order Butterworth filter
-    passes forwards and backwards. Splines have no third and fourth derivative at both ends.
+    With a cut-off, half the samples are padded at both ends by odd reflection, 2 x_0 - x_i;
+    samples with varying steps are resampled at the smallest step; a third-order Butterworth filter
+    runs forwards and backwards. The third and fourth derivatives of splines are zero at both ends.
 
     Args:
         stamps: Sample times [ns], increasing, shape (n,).
-        position: [rad or m], shape (n, m).
-        cutoff: Of one pass of the filter [Hz]; two passes have less. None: no filter.
+        position: Positions [rad or m], shape (n, m).
+        cutoff: Cut-off of one pass of the filter [Hz]; that of both is lower. None for no filter.
 
     Raises:
         DataError: Too few samples, or a cut-off out of its range.
@@ -72,22 +72,22 @@ def opensim_splines(
     return Splined(padded[inside], *_derivatives(times, passed, times[inside]))
 
 
-def _seconds(stamps: NDArray[np.int64], whole: NDArray[np.int64]) -> Array:
-    """Times since the first of the whole [s]."""
-    return (stamps - whole[0]) * NANOSECOND
+def _seconds(stamps: NDArray[np.int64], recording: NDArray[np.int64]) -> Array:
+    """Return times since the begin of a recording [s]."""
+    return (stamps - recording[0]) * NANOSECOND
 
 
 def _reflected(values: NDArray[Any], pad: int) -> NDArray[Any]:
-    """Values between their odd reflections about the first and the last one."""
+    """Pad values by odd reflection about the first and the last one."""
     before = 2 * values[0] - values[pad:0:-1]
     behind = 2 * values[-1] - values[-2 : -2 - pad : -1]
     return np.concatenate([before, values, behind])
 
 
 def _butterworth(values: Array, step: float, cutoff: float) -> Array:
-    """One pass of a third-order Butterworth filter by the bilinear transform, tan prewarp.
+    """Run a third-order Butterworth filter (bilinear transform with prewarping) once.
 
-    The first samples of a pass are its input.
+    The first samples of a pass are not filtered.
     """
     from scipy.signal import lfilter
 
@@ -101,17 +101,17 @@ def _butterworth(values: Array, step: float, cutoff: float) -> Array:
         (3 * w**3 - 2 * w**2 - 2 * w + 3) / divisor,
         (w - 1) * (w**2 - w + 1) / divisor,
     ]
-    state = _state_after(values[:_KEPT], b, np.array(a))
-    passed, _ = lfilter(b, a, values[_KEPT:], axis=0, zi=state)
-    return np.concatenate([values[:_KEPT], passed])
+    state = _state_after(values[:_UNFILTERED], b, np.array(a))
+    passed, _ = lfilter(b, a, values[_UNFILTERED:], axis=0, zi=state)
+    return np.concatenate([values[:_UNFILTERED], passed])
 
 
 def _state_after(values: Array, b: Array, a: Array) -> Array:
-    """State of the filter behind samples that are both its input and its output, (3, m)."""
-    state = np.zeros((_KEPT, values.shape[1]))
-    for k in range(_KEPT):
-        for i in range(k, _KEPT):
-            state[k] += (b[i + 1] - a[i + 1]) * values[_KEPT - 1 - i + k]
+    """Return the filter state after samples that are both input and output, shape (3, m)."""
+    state = np.zeros((_UNFILTERED, values.shape[1]))
+    for k in range(_UNFILTERED):
+        for i in range(k, _UNFILTERED):
+            state[k] += (b[i + 1] - a[i + 1]) * values[_UNFILTERED - 1 - i + k]
     return state
 
 
@@ -124,6 +124,6 @@ def _spline(times: Array, values: Array) -> Any:
 
 
 def _derivatives(times: Array, values: Array, wanted: Array) -> tuple[Array, Array, Array]:
-    """Position, velocity and acceleration of the spline."""
+    """Return position, velocity and acceleration of the spline."""
     spline = _spline(times, values)
     return spline(wanted), spline(wanted, nu=1), spline(wanted, nu=2)

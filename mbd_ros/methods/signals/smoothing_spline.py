@@ -1,12 +1,12 @@
-"""Smoothing splines with a cut-off in Hz: a low-pass of a whole recording that does not lag.
+"""Smoothing splines with a cut-off frequency: a low-pass of a recording without lag.
 
 The quintic spline s = sum_i c_i b_i that minimizes, over time and over the samples y,
 
     integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
 
-passes 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8) of a sine. Knots are uniform, and the fourth
-derivative is taken as a difference of coefficients: these solve (N + stiffness D' D) c = b, whose
-matrix is a band.
+reduces a sine of frequency f to 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8) of its amplitude. Knots are
+uniform, and the fourth derivative is taken as a difference of coefficients: these solve (N +
+stiffness D' D) c = b, whose matrix is a band.
 
 Sources: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
     P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
@@ -22,42 +22,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.methods.signals.spline_basis import DEGREE, CellBasis, Wanted, joined, middles, parted
+from mbd_ros.methods.signals.spline_basis import (
+    DEGREE,
+    CellBasis,
+    Wanted,
+    cell_centre_values,
+    join_cells,
+    split_cells,
+)
 
-ORDER = 4  # of the derivative that is kept small
-_HOLD = 1.0e-12  # share by which the main diagonal grows where rounding took its rank
+ORDER = 4  # of the penalized derivative
+_REGULARIZATION = 1.0e-12  # relative increase of the main diagonal if it is singular to rounding
 _DIFFERENCE = [math.comb(ORDER, j) * (-1.0) ** j for j in range(ORDER + 1)]
-CELLS = 8  # polynomial pieces a period of a cut-off at least
-FLATTEST = 0.01  # periods of a cut-off in the recording: a cubic is all that is left by then
-_LEVELS = 3  # octaves of cut-offs for which samples are looked at once
-_MORE = 1.05  # times the cells that there have to be
+CELLS = 8  # least number of polynomial pieces for each period of a cut-off
+FLATTEST = 0.01  # periods of a cut-off in the recording below which only a cubic remains
+_LEVELS = 3  # octaves of cut-offs that share the sums over samples
+_MORE = 1.05  # ratio to the necessary number of cells above which equations are refined
 _ROUNDING = 1.0e-9  # of an octave
-FEWEST = 6  # samples in a row: a quintic through them
-HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
-PERIODS = 14  # of the cut-off until the end of a window is forgotten: exp(-2.7 PERIODS)
-_SPREAD = 64  # cells of the recording at least, in the middle of which signals are looked at
+FEWEST = 6  # least number of samples, which a quintic interpolates
+HIGHEST = 0.4  # cut-off relative to the sampling rate beyond which nothing is smoothed
+PERIODS = 14  # of the cut-off after which the end of a window has no effect: exp(-2.7 PERIODS)
+_SPREAD = 64  # least number of cells of a recording at which `spread` evaluates signals
 HALF_POWER = np.sqrt(2.0) - 1.0
 
 
 class LowPass:
-    """What passes signals below cut-offs of their own.
+    """Zero-phase low-pass of signals with individual cut-off frequencies.
 
-    The spline passes `response` without lag, at any rate and with irregular stamps; where a sine
-    ends with the recording, or in a gap, it continues as the cubic that fits best. Cells of a low
-    cut-off are those of a higher one, joined: samples are looked at once for all that are not far
-    apart.
+    The spline has the frequency response `response` without lag, at any rate and with irregular
+    stamps. At the ends of the recording and in gaps it continues as the best-fitting cubic. Cells
+    of a low cut-off are unions of cells of a higher one, so that similar cut-offs share the sums
+    over samples.
 
     Args:
-        times: [s], increasing, at least `FEWEST`, shape (n,).
-        cutoffs: Frequencies of half power that will be asked for [Hz].
-        whole: What the samples are a window of; without it they are the whole. `PERIODS` of the
-            cut-off from the ends of a window the result is that of the whole, to rounding.
+        times: Increasing sample times [s], at least `FEWEST`, shape (n,).
+        cutoffs: Frequencies of half power that will be used [Hz].
+        recording: The recording of which the samples are a window; by default they are the
+            complete recording. `PERIODS` of the cut-off away from the ends of a window the result
+            equals that of the complete recording to rounding.
     """
 
-    def __init__(self, times: Array, cutoffs: Array, whole: Stretch | None = None) -> None:
-        self._times, self._whole = times, whole or Stretch.of(times)
-        self._span = self._whole.end - self._whole.begin
-        smooth = cutoffs[cutoffs < HIGHEST * self._whole.rate]
+    def __init__(self, times: Array, cutoffs: Array, recording: Stretch | None = None) -> None:
+        self._times = times
+        self._recording = recording or Stretch.of(times)
+        self._span = self._recording.end - self._recording.begin
+        smooth = cutoffs[cutoffs < HIGHEST * self._recording.rate]
         self._grids = grids_of(sorted(set(smooth.tolist()), reverse=True), self._span)
         self._bases: dict[int, CellBasis] = {}
         self._equations: dict[float, SmoothingEquations] = {}
@@ -70,23 +79,23 @@ class LowPass:
         wanted: Wanted,
         rows: slice,
     ) -> None:
-        """Put derivatives of passed signals where they are wanted.
+        """Write filtered signals and their derivatives into target arrays.
 
         Args:
             values: Signals, one a column, shape (n, k).
-            chosen: Those that pass, shape (m,).
-            cutoff: That of each that passes, shape (m,); from `HIGHEST` times the rate on the
-                spline passes through the samples.
-            wanted: See `Wanted`; orders are 0, 1 or 2.
-            rows: The samples that are wanted.
+            chosen: Columns to filter, shape (m,).
+            cutoff: Cut-off of each [Hz], shape (m,); from `HIGHEST` times the rate on, the spline
+                interpolates the samples.
+            wanted: Requested derivatives and their targets, see `Wanted`; orders are 0, 1 or 2.
+            rows: Samples at which they are evaluated.
         """
-        exact = np.flatnonzero(cutoff >= HIGHEST * self._whole.rate)
+        exact = np.flatnonzero(cutoff >= HIGHEST * self._recording.rate)
         if len(exact):
-            self._through(values[:, chosen[exact]], _of(wanted, exact), rows)
-        for grid, own in self._families(cutoff):
-            coefficients = self._coefficients(grid, values, chosen[own], cutoff[own], True)
+            self._interpolate(values[:, chosen[exact]], _select(wanted, exact), rows)
+        for grid, group in self._families(cutoff):
+            coefficients = self._coefficients(grid, values, chosen[group], cutoff[group], True)
             width = self._span / grid.cells
-            self._basis(grid).put(coefficients, width, _of(wanted, own), rows)
+            self._basis(grid).put(coefficients, width, _select(wanted, group), rows)
 
     def spread(
         self,
@@ -95,76 +104,76 @@ class LowPass:
         cutoff: Array,
         rows: slice,
     ) -> Iterator[tuple[NDArray[np.intp], Array, float]]:
-        """Passed signals at evenly spread times, those of like cut-offs together.
+        """Yield filtered signals at equidistant times, in groups of similar cut-offs.
 
         Args:
             values: Signals, one a column, shape (n, k).
-            chosen: Those that pass, shape (m,).
-            cutoff: As that of `put`.
-            rows: The samples between which the times are.
+            chosen: Columns to filter, shape (m,).
+            cutoff: Cut-off of each [Hz], shape (m,).
+            rows: Samples between which the times lie.
 
         Yields:
-            Places of signals in `chosen`, their values, shape (times, ..), and the step [s]. Where
-            nothing is smoothed these are the samples.
+            Indices of signals in `chosen`, their values, shape (times, ..), and the step [s];
+            where nothing is smoothed, the values of the samples.
         """
-        begin, end = self._times[rows][[0, -1]] - self._whole.begin
-        exact = np.flatnonzero(cutoff >= HIGHEST * self._whole.rate)
+        begin, end = self._times[rows][[0, -1]] - self._recording.begin
+        exact = np.flatnonzero(cutoff >= HIGHEST * self._recording.rate)
         if len(exact):
-            yield exact, values[rows, chosen[exact]], self._whole.usual
-        for grid, own in self._families(cutoff):
-            coefficients = self._coefficients(grid, values, chosen[own], cutoff[own], False)
+            yield exact, values[rows, chosen[exact]], self._recording.usual
+        for grid, group in self._families(cutoff):
+            coefficients = self._coefficients(grid, values, chosen[group], cutoff[group], False)
             cells, first = grid.cells, self._begin(grid)[0]
             while cells < _SPREAD:
-                coefficients, cells, first = parted(coefficients), 2 * cells, 2 * first
+                coefficients, cells, first = split_cells(coefficients), 2 * cells, 2 * first
             at = np.rint(np.array([begin, end]) * (cells / self._span)).astype(np.intp) - first
             inside = coefficients[:, at[0] : at[1] + DEGREE]
-            yield own, middles(inside).T, self._span / cells
+            yield group, cell_centre_values(inside).T, self._span / cells
 
-    def _through(self, values: Array, wanted: Wanted, rows: slice) -> None:
+    def _interpolate(self, values: Array, wanted: Wanted, rows: slice) -> None:
         from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
 
-        through = make_interp_spline(self._times, values, k=DEGREE, axis=0)
+        spline = make_interp_spline(self._times, values, k=DEGREE, axis=0)
         for order, columns, target, places in wanted:
-            target[:, places] = through(self._times[rows], nu=order)[:, columns]
+            target[:, places] = spline(self._times[rows], nu=order)[:, columns]
 
     def _families(self, cutoff: Array) -> Iterator[tuple[Grid, NDArray[np.intp]]]:
-        """Signals that are looked at together, and a grid of their finest cells."""
+        """Yield groups of signals with the same finest cells, and a grid of these cells."""
         grids = [self._grids.get(f) for f in cutoff.tolist()]
         cells = np.array([grid.cells if grid else 0 for grid in grids])
-        for one in {grid.cells: grid for grid in grids if grid}.values():
-            yield one, np.flatnonzero(cells == one.cells)
+        for grid in {grid.cells: grid for grid in grids if grid}.values():
+            yield grid, np.flatnonzero(cells == grid.cells)
 
     def _begin(self, grid: Grid) -> tuple[int, int]:
-        """First cell of the window, and their number: joined cells begin and end there, too."""
-        begin, end = (self._times[[0, -1]] - self._whole.begin) * (grid.cells / self._span)
+        """Return the first cell of the window and the number of its cells, in whole units."""
+        begin, end = (self._times[[0, -1]] - self._recording.begin) * (grid.cells / self._span)
         first = min(int(begin), grid.cells - 1) // grid.unit * grid.unit
         last = -(-min(math.ceil(end), grid.cells) // grid.unit) * grid.unit
         return first, max(last - first, grid.unit)
 
     def _basis(self, grid: Grid) -> CellBasis:
-        """Splines at the samples of the window."""
+        """Return the splines at the samples of the window."""
         if grid.cells not in self._bases:
             first, count = self._begin(grid)
-            places = (self._times - self._whole.begin) * (grid.cells / self._span) - first
-            weights = np.minimum(np.gradient(self._times), 4.0 * self._whole.usual)
+            places = (self._times - self._recording.begin) * (grid.cells / self._span) - first
+            weights = np.minimum(np.gradient(self._times), 4.0 * self._recording.usual)
             self._bases[grid.cells] = CellBasis(places, count, weights)
         return self._bases[grid.cells]
 
     def _coefficients(
         self, grid: Grid, values: Array, chosen: NDArray[np.intp], cutoff: Array, refine: bool
     ) -> Array:
-        """Of the splines of the finest cells, for signals that pass; shape (m, splines)."""
-        found = self._basis(grid).projected(values, chosen)
+        """Return coefficients of the splines of the finest cells, shape (m, splines)."""
+        coefficients = self._basis(grid).projected(values, chosen)
         for f in np.unique(cutoff).tolist():
-            own, level = np.flatnonzero(cutoff == f), self._grids[f].level
-            known, refined = found[own], refine and self._grids[f].is_fine
+            group, level = np.flatnonzero(cutoff == f), self._grids[f].level
+            sums, refined = coefficients[group], refine and self._grids[f].is_fine
             for _ in range(level):
-                known = joined(known)
-            solved = self._equations_of(f).solve(known, refined)
+                sums = join_cells(sums)
+            solution = self._equations_of(f).solve(sums, refined)
             for _ in range(level):
-                solved = parted(solved)
-            found[own] = solved
-        return found
+                solution = split_cells(solution)
+            coefficients[group] = solution
+        return coefficients
 
     def _equations_of(self, cutoff: float) -> SmoothingEquations:
         if cutoff not in self._equations:
@@ -178,30 +187,30 @@ class LowPass:
 
 
 def grids_of(cutoffs: Sequence[float], span: float) -> dict[float, Grid]:
-    """Those of cut-offs from the highest on [Hz], in a recording of so many seconds."""
-    found: dict[float, Grid] = {}
+    """Return grids of cut-offs [Hz], from the highest on, in a recording of a span [s]."""
+    grids: dict[float, Grid] = {}
     periods = {f: max(f * span, FLATTEST) for f in cutoffs}
     while periods:
         top = max(periods.values())
         levels = {f: int(math.log2(top / n) + _ROUNDING) for f, n in periods.items()}
-        own = {f: level for f, level in levels.items() if level <= _LEVELS}
-        unit = 2 ** max(own.values())
+        group = {f: level for f, level in levels.items() if level <= _LEVELS}
+        unit = 2 ** max(group.values())
         cells = math.ceil(top * CELLS / unit) * unit
-        for f, level in own.items():
+        for f, level in group.items():
             is_fine = cells >> level > _MORE * CELLS * periods[f] + 1.0
-            found[f] = Grid(cells, unit, level, is_fine)
-        periods = {f: n for f, n in periods.items() if f not in own}
-    return found
+            grids[f] = Grid(cells, unit, level, is_fine)
+        periods = {f: n for f, n in periods.items() if f not in group}
+    return grids
 
 
 class Grid(NamedTuple):
     """Cells of a recording for a cut-off.
 
     Attributes:
-        cells: Of the highest cut-off that is looked at together with this one.
-        unit: Of these, as many as there are in one of the lowest.
-        level: This one has cells 2^level times as wide.
-        is_fine: Whether these are narrower than they have to be, so that equations are stiffer.
+        cells: Number of cells of the highest cut-off in the same group.
+        unit: Number of these cells in one cell of the lowest cut-off of the group.
+        level: Cells of this cut-off are 2^level times as wide.
+        is_fine: Whether its cells are narrower than necessary, which makes its equations stiffer.
     """
 
     cells: int
@@ -217,7 +226,7 @@ class SmoothingEquations:
 
     Args:
         normal: N in upper banded form, shape (DEGREE + 1, n).
-        stiffness: That of the differences, > 0.
+        stiffness: Weight of the differences, > 0.
     """
 
     def __init__(self, normal: Array, stiffness: float) -> None:
@@ -229,42 +238,43 @@ class SmoothingEquations:
             band[DEGREE - k, k:] += stiffness * diagonal
         try:
             self._factor: Array = cholesky_banded(band)
-        except np.linalg.LinAlgError:  # a wide gap of many cells: only the penalty holds them
-            band[DEGREE] *= 1.0 + _HOLD
+        except np.linalg.LinAlgError:  # many cells in a gap, which only the penalty determines
+            band[DEGREE] *= 1.0 + _REGULARIZATION
             self._factor = cholesky_banded(band)
 
-    def solve(self, known: Array, refined: bool = False) -> Array:
-        """Solution for b of shape (m, n), same shape.
+    def solve(self, b: Array, refined: bool = False) -> Array:
+        """Solve for right-hand sides of shape (m, n), same shape.
 
         Args:
-            refined: Take what is left of b as another b. Differences of smooth coefficients are
-                small and known well, a row of D' D times them is not: what stiff equations lose
-                to rounding comes back.
+            b: Right-hand sides.
+            refined: Whether to refine the solution once with its residual. The residual is
+                computed with differences of coefficients, which are accurate; this restores the
+                digits that stiff equations lose to rounding.
         """
         from scipy.linalg import cho_solve_banded
 
         factor = self._factor, False
-        found: Array = cho_solve_banded(factor, known.T, check_finite=False).T
+        c: Array = cho_solve_banded(factor, b.T, check_finite=False).T
         if refined:
-            left = self._left(known, found)
-            found = found + cho_solve_banded(factor, left.T, check_finite=False).T
-        return found
+            residual = self._residual(b, c)
+            c = c + cho_solve_banded(factor, residual.T, check_finite=False).T
+        return c
 
-    def _left(self, known: Array, found: Array) -> Array:
-        """What is left of b."""
-        left = known - self._normal[DEGREE] * found
-        for k in range(1, min(DEGREE, found.shape[1] - 1) + 1):
+    def _residual(self, b: Array, c: Array) -> Array:
+        """Return b - (N + stiffness D' D) c."""
+        residual = b - self._normal[DEGREE] * c
+        for k in range(1, min(DEGREE, c.shape[1] - 1) + 1):
             diagonal = self._normal[DEGREE - k, k:]
-            left[:, :-k] -= diagonal * found[:, k:]
-            left[:, k:] -= diagonal * found[:, :-k]
-        pulls, n = self._stiffness * np.diff(found, ORDER, axis=1), found.shape[1] - ORDER
+            residual[:, :-k] -= diagonal * c[:, k:]
+            residual[:, k:] -= diagonal * c[:, :-k]
+        forces, n = self._stiffness * np.diff(c, ORDER, axis=1), c.shape[1] - ORDER
         for j, share in enumerate(_DIFFERENCE):
-            left[:, j : j + n] -= share * pulls
-        return left
+            residual[:, j : j + n] -= share * forces
+        return residual
 
 
 def _penalty(size: int) -> list[Array]:
-    """Diagonals, from the main one up, of the squares of fourth differences of `size` numbers."""
+    """Return the diagonals of D' D of `size` coefficients, from the main one up."""
     row = _DIFFERENCE
     diagonals = []
     for k in range(min(ORDER + 1, size)):
@@ -275,24 +285,25 @@ def _penalty(size: int) -> list[Array]:
     return diagonals
 
 
-def _of(wanted: Wanted, signals: NDArray[np.intp]) -> Wanted:
-    """What is wanted of some signals, by their place among these."""
-    found = []
+def _select(wanted: Wanted, signals: NDArray[np.intp]) -> Wanted:
+    """Return the requests for some signals, with their indices among these."""
+    selected = []
     for order, columns, target, places in wanted:
-        own = np.isin(columns, signals)
-        if own.any():
-            found.append((order, np.searchsorted(signals, columns[own]), target, places[own]))
-    return found
+        chosen = np.isin(columns, signals)
+        if chosen.any():
+            at = np.searchsorted(signals, columns[chosen])
+            selected.append((order, at, target, places[chosen]))
+    return selected
 
 
 class Stretch(NamedTuple):
-    """A recording without gaps, of which signals are a window.
+    """Time span and sampling rate of a recording without gaps.
 
     Attributes:
-        begin: Of its first sample [s].
-        end: Of its last one [s].
+        begin: Time of its first sample [s].
+        end: Time of its last sample [s].
         usual: Median of the steps around each sample [s].
-        rate: Usual number of samples a second [Hz].
+        rate: Median sampling rate [Hz].
     """
 
     begin: float
@@ -302,7 +313,7 @@ class Stretch(NamedTuple):
 
     @classmethod
     def of(cls, times: Array, *more: Array) -> Stretch:
-        """That of its times [s], of pieces that tell it, the first and the last of them among."""
+        """Return the stretch of sample times [s], or of pieces that include the first and last."""
         pieces = times, *more
         usual = float(np.median(np.concatenate([np.gradient(piece) for piece in pieces])))
         steps = np.concatenate([np.diff(piece) for piece in pieces])
@@ -310,10 +321,10 @@ class Stretch(NamedTuple):
 
 
 def response(frequency: Array, cutoff: float) -> Array:
-    """Share of a sine that passes: 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8).
+    """Return the frequency response 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8).
 
     Args:
-        frequency: f [Hz].
+        frequency: Frequency f [Hz].
         cutoff: Frequency of half power [Hz].
     """
     squared = np.square(frequency / cutoff)
@@ -322,5 +333,5 @@ def response(frequency: Array, cutoff: float) -> Array:
 
 
 def rate_of(times: Array) -> float:
-    """Usual number of samples a second [Hz]."""
+    """Return the median sampling rate [Hz]."""
     return 1.0 / float(np.median(np.diff(times)))

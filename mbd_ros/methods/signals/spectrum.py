@@ -1,8 +1,8 @@
-"""Density of signals by frequency, clean enough for noise that is 10^-12 of a motion.
+"""Power spectral density of signals, for noise as small as 10^-12 of a motion.
 
-A piece of a recording neither begins nor ends at rest. Cut out as it is, it has a spectrum that
-falls as f^-2, above all noise. So each piece is faded in and out by a taper with a spectrum that
-falls as f^-14 (sin^6), after what a cubic explains of it is gone: a motion keeps its steep fall.
+A piece of a recording neither begins nor ends at rest, so its spectrum falls only as f^-2 and
+hides the noise. Each piece is therefore multiplied by a taper, a power of a sine whose spectrum
+falls steeply, and its best-fitting cubic is removed.
 
 Source: P. D. Welch, IEEE Trans. Audio Electroacoust. 15, 1967, 70 (mean of periodograms of
     tapered pieces); F. J. Harris, Proc. IEEE 66, 1978, 51, section V (powers of sines).
@@ -17,20 +17,20 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.methods.signals.spline_basis import product
 
-FEWEST_TELLING = 32  # samples in a piece, from which on noise can be told from motion
+FEWEST_TELLING = 32  # least number of samples of a piece that separates noise from motion
 _POWER = 4  # of the sine
 _CUBIC = 4
-_NEAR = 4  # samples that a value between them is taken from
-_CLOCK = 5.0e-9  # s: stamps are rounded to some ns
+_NEAR = 4  # samples of an interpolated value
+_CLOCK = 5.0e-9  # rounding of stamps [s]
 
 
 class Spectrum(NamedTuple):
-    """Densities of m signals.
+    """Power spectral densities of m signals.
 
     Attributes:
-        frequency: k times the first of them, k = 1 .. n [Hz], shape (n,).
-        density: One-sided, [unit^2/Hz], shape (n, m).
-        span: Of the longest piece [s].
+        frequency: Equidistant frequencies without 0 [Hz], shape (n,).
+        density: One-sided density [unit^2/Hz], shape (n, m).
+        span: Duration of the longest piece [s].
     """
 
     frequency: Array
@@ -39,7 +39,7 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(pieces: Sequence[tuple[Array, Array]]) -> Spectrum:
-    """Mean density of pieces of a recording.
+    """Return the mean density of the pieces of a recording.
 
     Args:
         pieces: Times [s], shape (n,), and signals, shape (n, m); the longest has at least
@@ -58,7 +58,7 @@ def spectrum(pieces: Sequence[tuple[Array, Array]]) -> Spectrum:
 
 
 def _periodogram(values: Array, size: int) -> Array:
-    """Squares of the Fourier transform of tapered values per sum of squares of the taper."""
+    """Return the squared Fourier transform of tapered values over the energy of the taper."""
     taper, cubics = _taper(len(values))
     faded = np.ascontiguousarray(values.T)
     faded = faded * taper
@@ -70,7 +70,7 @@ def _periodogram(values: Array, size: int) -> Array:
 
 @functools.lru_cache(maxsize=2)  # pieces are about as long as each other
 def _taper(n: int) -> tuple[Array, Array]:
-    """Taper, shape (n,), and tapered cubics, orthonormal, shape (4, n)."""
+    """Return the taper, shape (n,), and orthonormal tapered cubics, shape (4, n)."""
     places = (np.arange(n) + 0.5) / n
     squared = np.square(np.sin(np.pi * places))
     taper = squared ** (_POWER // 2)
@@ -80,19 +80,19 @@ def _taper(n: int) -> tuple[Array, Array]:
 
 
 def _good(size: int) -> int:
-    """The next size with no other factors than 2, 3 and 5."""
+    """Return the next size whose prime factors are 2, 3 and 5."""
     while True:
-        rest = size
+        quotient = size
         for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
+            while quotient % factor == 0:
+                quotient //= factor
+        if quotient == 1:
             return size
         size += 1
 
 
 def _even(times: Array, values: Array, step: float) -> Array:
-    """Values at times that are a step apart: those of the cubic through the four next samples."""
+    """Resample values at a constant step, by the cubic through the four nearest samples."""
     n = int((times[-1] - times[0]) / step + 0.5) + 1
     places = times[0] + step * np.arange(n)
     if n == len(times) and np.abs(places - times).max() <= _CLOCK:

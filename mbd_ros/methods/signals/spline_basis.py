@@ -1,13 +1,13 @@
-"""Quintic B-splines of uniform knots: sums over samples, and values at samples.
+"""Quintic B-splines with uniform knots: sums over samples, and values at samples.
 
-Within a cell the six splines are polynomials. The splines of cells that are joined in pairs are
-sums of those of the cells,
+Within a cell the six splines are polynomials. Splines of pairs of cells are sums of splines of
+the cells,
 
     b(x) = 2^-5 sum_k C(6, k) b(2 x - k), k = 0 .. 6
 
-A row of samples lies in a few cells that follow each other, and sees the splines of these: sums
-and values are small products of matrices, a row each. A block of samples at a time stays in the
-cache. With a million samples this takes half the time of `scipy.interpolate.BSpline`.
+A row of samples lies in a few consecutive cells and involves only their splines, so sums and
+values are small matrix products, one for each row. Samples are processed in blocks that fit into
+the cache. With a million samples this takes half the time of `scipy.interpolate.BSpline`.
 
 Source: C. de Boor, A Practical Guide to Splines, 1978, chapters IX (truncated powers) and XI
     (insertion of knots).
@@ -26,27 +26,27 @@ from mbd_ros.core.state import Array
 
 _MOST = 1 << 18
 DEGREE = 5
-# Order of a derivative, signals that pass, where its values go, and in which columns.
+# Order of a derivative, columns of signals, target array, columns of the target.
 Wanted = Sequence[tuple[int, NDArray[np.intp], Array, NDArray[np.intp]]]
 _ENDS = -0.5, 0.5  # of a cell, which the middles of its halves are half as far from its middle as
 _SHARES = [math.comb(DEGREE + 1, k) / 2.0**DEGREE for k in range(DEGREE + 2)]
 
 
 def pieces(origin: float) -> Array:
-    """Coefficients of u^k, k = 0 .. 5, of the six splines of a cell, shape (spline, k).
+    """Return the coefficients of u^k, k = 0 .. 5, of the six splines of a cell, (spline, k).
 
     b_p(u) = 1/5! sum_j (-1)^j C(6, j) (u + origin + 5 - p - j)^5 over the terms that are positive.
 
     Args:
-        origin: Place in the cell that u = 0 is, 0 its beginning and 1 its end.
+        origin: Position of u = 0 in the cell, from 0 (begin) to 1 (end).
     """
-    n, found = DEGREE, np.zeros((DEGREE + 1, DEGREE + 1))
+    n, coefficients = DEGREE, np.zeros((DEGREE + 1, DEGREE + 1))
     for p in range(n + 1):
         for j in range(n + 1 - p):
             shift, sign = n - p - j, (-1.0) ** j * math.comb(n + 1, j) / math.factorial(n)
             for k in range(n + 1):
-                found[p, k] += sign * math.comb(n, k) * (shift + origin) ** (n - k)
-    return found
+                coefficients[p, k] += sign * math.comb(n, k) * (shift + origin) ** (n - k)
+    return coefficients
 
 
 _AT_MIDDLE = pieces(0.5)[:, 0]  # values of the six splines of a cell in its middle
@@ -61,12 +61,12 @@ _PRODUCTS = np.array([np.convolve(_PIECES[p], _PIECES[q]) for p, q in _PAIRS])
 
 
 class CellBasis:
-    """The splines of uniform cells at places within them.
+    """Splines of uniform cells, evaluated at samples.
 
     Args:
-        places: In cells from the beginning on, increasing, shape (n,).
+        places: Increasing positions of the samples in units of a cell, shape (n,).
         cells: Number of cells; there are `cells + DEGREE` splines.
-        weights: Of the samples, shape (n,).
+        weights: Weights of the samples, shape (n,).
     """
 
     def __init__(self, places: Array, cells: int, weights: Array) -> None:
@@ -76,85 +76,87 @@ class CellBasis:
         self._u = places - self._at - _MIDDLE
         self._several = max(_LENGTH * cells // len(places), 1)  # cells of a row
         self._groups = -(-cells // self._several)
-        self._kept: list[tuple[slice, _Block]] = []
+        self._cached_blocks: list[tuple[slice, _Block]] = []
         self._sums: list[Array] = []
         self._normals: dict[int, Array] = {}
 
     def normal(self, level: int = 0) -> Array:
-        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines).
+        """Return sums of weight b_i b_j over samples, upper banded form, (DEGREE + 1, splines).
 
         Args:
-            level: Of cells 2^level times as wide, which `cells` is a multiple of.
+            level: Use cells 2^level times as wide; `cells` must be a multiple of 2^level.
         """
         if level not in self._normals:
             powers = self._powers(level)
             cells = powers.shape[1]
-            found = np.zeros((_WIDTH, cells + DEGREE))
+            band = np.zeros((_WIDTH, cells + DEGREE))
             for (p, q), row in zip(_PAIRS, product(_PRODUCTS, powers), strict=True):
-                found[DEGREE - (q - p), q : q + cells] += row
-            self._normals[level] = found
+                band[DEGREE - (q - p), q : q + cells] += row
+            self._normals[level] = band
         return self._normals[level]
 
     def _powers(self, level: int) -> Array:
-        """Sums of weight u^k over the samples of each cell, k = 0 .. 10, shape (11, cells)."""
+        """Return sums of weight u^k over samples of each cell, k = 0 .. 10, shape (11, cells)."""
         if not self._sums:
             self._sums.append(np.empty((2 * DEGREE + 1, self._cells)))
             weighted = self._weights.copy()
-            for own in self._sums[0]:
-                own[:] = np.bincount(self._at, weighted, self._cells)
+            for row in self._sums[0]:
+                row[:] = np.bincount(self._at, weighted, self._cells)
                 weighted *= self._u
         while len(self._sums) <= level:
-            self._sums.append(joined_powers(self._sums[-1]))
+            self._sums.append(join_power_sums(self._sums[-1]))
         return self._sums[level]
 
     def projected(self, values: Array, chosen: NDArray[np.intp]) -> Array:
-        """Sums of weight b_i y over the samples, y m columns of values; shape (m, splines)."""
-        several, columns = self._several, _together(chosen)
+        """Return sums of weight b_i y over samples for chosen columns y, shape (m, splines)."""
+        several, columns = self._several, _as_slice(chosen)
         projected = np.zeros((self._groups * several + DEGREE, len(chosen)))
         for rows, block in self._blocks():
             sums = block.sums(self._weights[rows], values[rows][:, columns])
             for p in range(several + DEGREE):
-                projected[block.own(p)] += sums[:, p]
+                projected[block.spline_rows(p)] += sums[:, p]
         return np.ascontiguousarray(projected[: self._cells + DEGREE].T)
 
     def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:
-        """Derivatives of sums of splines at some samples.
+        """Write splines or their derivatives at some samples into target arrays.
 
         Args:
-            coefficients: Shape (m, splines).
-            width: Of a cell [s].
-            wanted: As that of `LowPass.put`.
+            coefficients: Coefficients of the splines, shape (m, splines).
+            width: Width of a cell [s].
+            wanted: Requested derivatives and their targets, see `Wanted`.
+            rows: The samples.
         """
         orders = sorted({order for order, *_ in wanted})
-        lacking = self._groups * self._several - self._cells
-        padded = np.pad(coefficients, ((0, 0), (0, lacking)))
+        missing = self._groups * self._several - self._cells
+        padded = np.pad(coefficients, ((0, 0), (0, missing)))
         for part, block in self._blocks():
-            own = slice(max(part.start, rows.start), min(part.stop, rows.stop))
-            if own.start >= own.stop:
+            common = slice(max(part.start, rows.start), min(part.stop, rows.stop))
+            if common.start >= common.stop:
                 continue
-            into = slice(own.start - rows.start, own.stop - rows.start)
-            inside = slice(own.start - part.start, own.stop - part.start)
-            found = block.values(padded, orders, width)
+            into = slice(common.start - rows.start, common.stop - rows.start)
+            inside = slice(common.start - part.start, common.stop - part.start)
+            values = block.values(padded, orders, width)
             for order, columns, target, places in wanted:
                 at = block.places(orders.index(order), len(orders))[inside]
-                taken = np.take(found[:, _together(columns)], at, axis=0, mode="clip")
-                target[into, _together(places)] = taken
+                target[into, _as_slice(places)] = np.take(
+                    values[:, _as_slice(columns)], at, axis=0, mode="clip"
+                )
 
     def _blocks(self) -> Iterator[tuple[slice, _Block]]:
-        """Samples, and the block of them; made when they are first asked for."""
-        if not self._kept:
+        """Return the blocks of samples, which are built at the first call."""
+        if not self._cached_blocks:
             for begin in range(0, len(self._u), _BLOCK):
                 rows = slice(begin, begin + _BLOCK)
                 block = _Block(self._at[rows], self._u[rows], self._several)
-                self._kept.append((slice(begin, begin + len(block.u)), block))
-        return iter(self._kept)
+                self._cached_blocks.append((slice(begin, begin + len(block.u)), block))
+        return iter(self._cached_blocks)
 
 
 class _Block:
-    """Samples in rows of one length; a row has some cells, and these may have several rows.
+    """Samples in rows of equal length; a row covers some cells, which may have several rows.
 
     Attributes:
-        u: Places of the samples from the middle of their cell on, shape (n,).
+        u: Positions of the samples relative to the centre of their cell, shape (n,).
     """
 
     def __init__(self, at: NDArray[np.intp], u: Array, several: int) -> None:
@@ -178,20 +180,20 @@ class _Block:
         first, last = int(self._used[0]), int(self._used[-1])
         self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
 
-    def own(self, p: int) -> slice | NDArray[np.intp]:
-        """The spline p of each group of cells."""
+    def spline_rows(self, p: int) -> slice | NDArray[np.intp]:
+        """Return the indices of spline p of each group of cells."""
         span, several = self._span, self._several
         if span is None:
             return self._used * several + p
         return slice(span.start * several + p, (span.stop - 1) * several + p + 1, several)
 
     def places(self, k: int, count: int) -> NDArray[np.intp]:
-        """Where the samples stand in rows of `count` lengths, in the k-th of them."""
+        """Return the indices of samples in the k-th part of rows with `count` parts."""
         places: NDArray[np.intp] = (self._row * count + k) * self._length + self._within
         return places
 
     def sums(self, weights: Array, values: Array) -> Array:
-        """Sums of weight b_p y for each group, y m columns, shape (groups, splines, m)."""
+        """Return sums of weight b_p y for each group, shape (groups, splines, m)."""
         placed = np.zeros((self._rows * self._length, values.shape[1]))
         placed[self.places(0, 1)] = values
         by_row = placed.reshape(self._rows, self._length, -1)
@@ -201,18 +203,18 @@ class _Block:
         return np.add.reduceat(sums, self._first, axis=0) if self._long else sums
 
     def values(self, coefficients: Array, orders: Sequence[int], width: float) -> Array:
-        """Derivatives of sums of splines in the places of samples, shape (places, m)."""
+        """Return derivatives of splines at the positions of `places`, shape (places, m)."""
         m, splines = len(coefficients), self._several + DEGREE
-        per_signal, one = coefficients.strides
-        shape, strides = (1 + int(self._group[-1]), splines, m), (one * self._several, one)
+        per_signal, step = coefficients.strides
+        shape, strides = (1 + int(self._group[-1]), splines, m), (step * self._several, step)
         every = as_strided(coefficients, shape, (*strides, per_signal), writeable=False)
         is_all = self._span is not None and not self._long
-        own = every[self._span if is_all else self._group]
+        by_row = every[self._span if is_all else self._group]
         basis = self._splines([self._polynomials(order, width) for order in orders])
-        return (basis.swapaxes(1, 2) @ own).reshape(-1, m)
+        return (basis.swapaxes(1, 2) @ by_row).reshape(-1, m)
 
     def _polynomials(self, order: int, width: float) -> Array:
-        """Derivatives of the six splines of the cell of each sample, shape (6, n)."""
+        """Return derivatives of the six splines of the cell of each sample, shape (6, n)."""
         factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
         powers = np.empty((_WIDTH - order, len(self.u)))
         powers[0] = 1.0
@@ -221,30 +223,30 @@ class _Block:
         return product(_PIECES[:, order:] * (factors / width**order), powers)
 
     def _splines(self, each: Sequence[Array]) -> Array:
-        """What samples have for the splines of their cells, in their rows.
+        """Arrange values of the six splines of each sample in rows.
 
         Args:
-            each: For the six splines of a cell, shape (6, n).
+            each: Values of the six splines at the samples, shape (6, n) each.
 
         Returns:
             Shape (rows, splines, len(each) * length); 0 beside the six splines.
         """
         splines, long = self._several + DEGREE, len(each) * self._length
-        found = np.zeros(self._rows * splines * long)
+        arranged = np.zeros(self._rows * splines * long)
         base = (self._row * splines + self._offset) * long + self._within
         for k, values in enumerate(each):
             at = base + k * self._length
-            for own in values:
-                found[at] = own
+            for spline_values in values:
+                arranged[at] = spline_values
                 at += long
-        return found.reshape(self._rows, splines, long)
+        return arranged.reshape(self._rows, splines, long)
 
 
 def product(left: Array, right: Array) -> Array:
-    """Matrix product left @ right, of which the inner side or that of `right` is the long one.
+    """Return left @ right without threads of BLAS, for a long inner dimension or many columns.
 
-    BLAS starts threads for a product of more than 2^18 multiplications, which wait busily for each
-    other. That costs more than these products take on the core that calls.
+    BLAS starts threads for a product of more than 2^18 multiplications, and their synchronization
+    costs more than these products take on a single core.
     """
     (rows, inner), columns = left.shape, right.shape[1]
     if columns > inner:
@@ -258,49 +260,49 @@ def product(left: Array, right: Array) -> Array:
     return total
 
 
-def joined_powers(sums: Array) -> Array:
-    """Sums of y u^k, u the place from the middle of a cell on, for pairs of cells.
+def join_power_sums(sums: Array) -> Array:
+    """Return sums of y u^k for pairs of cells, with u relative to the centre of a cell.
 
-    u of a pair is (u -+ 1/2) / 2.
+    In a pair, u becomes (u -+ 1/2) / 2.
 
     Args:
-        sums: For the cells, an even number of them; shape (k, cells).
+        sums: Sums for an even number of cells, shape (k, cells).
     """
-    found: Array = np.zeros((len(sums), sums.shape[1] // 2))
+    joined: Array = np.zeros((len(sums), sums.shape[1] // 2))
     for half, end in enumerate(_ENDS):
         shares = [
             [math.comb(k, j) * end ** max(k - j, 0) / 2.0**k for j in range(len(sums))]
             for k in range(len(sums))
         ]
-        found += product(np.array(shares), sums[:, half::2])
-    return found
+        joined += product(np.array(shares), sums[:, half::2])
+    return joined
 
 
-def _together(chosen: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Columns, as a slice where they stand beside each other: a view of them."""
+def _as_slice(chosen: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Return column indices as a slice if they are consecutive, so that indexing makes a view."""
     beside = bool((np.diff(chosen) == 1).all()) and len(chosen) > 0
     return slice(int(chosen[0]), int(chosen[-1]) + 1) if beside else chosen
 
 
-def joined(sums: Array) -> Array:
-    """Sums of b y with the splines of pairs of cells.
+def join_cells(sums: Array) -> Array:
+    """Return the sums of b y for splines of pairs of cells.
 
     Args:
-        sums: Those with the splines of the cells, an even number of them; shape (m, splines).
+        sums: Sums for splines of an even number of cells, shape (m, splines).
     """
     splines = (sums.shape[1] - DEGREE) // 2 + DEGREE
     padded = np.pad(sums, ((0, 0), (DEGREE, DEGREE + 1)))
-    found: Array = np.zeros((len(sums), splines))
+    joined: Array = np.zeros((len(sums), splines))
     for k, share in enumerate(_SHARES):
-        found += share * padded[:, k : k + 2 * splines : 2]
-    return found
+        joined += share * padded[:, k : k + 2 * splines : 2]
+    return joined
 
 
-def parted(coefficients: Array) -> Array:
-    """Coefficients of the splines of the halves of cells, for the same function.
+def split_cells(coefficients: Array) -> Array:
+    """Return the coefficients of the same function for splines of half cells.
 
     Args:
-        coefficients: Of the splines of the cells, shape (m, splines).
+        coefficients: Coefficients for the splines of cells, shape (m, splines).
     """
     m, splines = coefficients.shape
     padded = np.zeros((m, 2 * splines + DEGREE + 1))
@@ -309,14 +311,14 @@ def parted(coefficients: Array) -> Array:
     return padded[:, DEGREE : 2 * splines]
 
 
-def middles(coefficients: Array) -> Array:
-    """Values in the middle of each cell, shape (m, cells).
+def cell_centre_values(coefficients: Array) -> Array:
+    """Return the values at the centre of each cell, shape (m, cells).
 
     Args:
-        coefficients: Of the splines of the cells, shape (m, splines).
+        coefficients: Coefficients of the splines, shape (m, splines).
     """
     cells = coefficients.shape[1] - DEGREE
-    found: Array = np.zeros((len(coefficients), cells))
+    values: Array = np.zeros((len(coefficients), cells))
     for p, share in enumerate(_AT_MIDDLE):
-        found += share * coefficients[:, p : p + cells]
-    return found
+        values += share * coefficients[:, p : p + cells]
+    return values

@@ -1,4 +1,4 @@
-"""A simulation that is stepped tick by tick while commands come in."""
+"""Simulation in real time: it advances tick by tick while commands arrive."""
 
 from __future__ import annotations
 
@@ -19,38 +19,38 @@ from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
 from mbd_ros.methods.projection.assembly import Violation, violation
 from mbd_ros.methods.simulation.checked_steps import last_finite
 from mbd_ros.methods.simulation.safe_command import CommandWatch, SafeCommand
-from mbd_ros.methods.simulation.shown_accelerations import seen_at
+from mbd_ros.methods.simulation.sample_accelerations import accelerations_at
 from mbd_ros.methods.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from mbd_ros.methods.events.step_events import Event
-    from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+    from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
     from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
 
 
 class LiveSimulation:
-    """Simulates a scene in ticks; its inputs hold over a tick.
+    """Simulation of a scene in ticks, with inputs that are constant over each tick.
 
     Args:
-        build: Makes the simulation; `reset` calls it again, so that no history remains and a
-            replay gives the same bits.
+        build: Function that builds the simulation. `reset` calls it again, so that no history
+            remains and a replay is bit-identical.
         initial: State of all joints at the start.
         period: Length of a tick [s], a whole number of steps.
-        watch: Takes the inputs of all actuators, in their order.
-        safe: The safe command of the actuators.
-        heard: Where other inputs stand in u, and what takes them; the others have safe values.
+        watch: Receives the inputs of all actuators, in their order.
+        safe: Safe command of the actuators.
+        heard: Slots in u and receivers of other inputs; the remaining inputs have safe values.
 
     Attributes:
-        simulation: At work since the last reset.
-        showing: What `Snapshot.shown` holds, and the arrows.
+        simulation: The simulation since the last reset.
+        showing: Outputs in `Snapshot.shown`, and arrows.
         now: The newest state; after a divergence the last finite one.
-        events: What happened in the last tick.
-        fault: Why it diverged; empty before.
+        events: Events of the last tick.
+        fault: Reason of a divergence; empty without one.
 
     Raises:
-        ModelError: The period is no whole number of steps.
+        ModelError: The period is not a multiple of the step.
         MbdError: The mechanism cannot be assembled, or its first state is not finite.
     """
 
@@ -72,13 +72,13 @@ class LiveSimulation:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the initial state, with no memory of anything since."""
+        """Return to the initial state, without any history."""
         simulation = self._build()
         robot, dt = simulation.system.robot, simulation.dt
         self._count = round(self._period / dt)
         if self._count < 1 or abs(self._count * dt - self._period) > SAME_TIME * dt:
             raise ModelError(
-                f"a tick of {self._period:g} s is no whole number of steps of dt {dt:g} s; "
+                f"a tick of {self._period:g} s is not a multiple of the step dt of {dt:g} s; "
                 "choose another rate or dt"
             )
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
@@ -90,7 +90,7 @@ class LiveSimulation:
         self.simulation, self.fault, self._steps = simulation, "", 0
         system, loads = simulation.system, simulation.system.loads
         self.showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
-        self._felt: FeltReactions | None = None
+        self._reactions: SystemReactions | None = None
         self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
         for watch in self.watches:
             watch.restart()
@@ -103,14 +103,16 @@ class LiveSimulation:
         """Advance by one period.
 
         Raises:
-            DivergedError: The state, or what follows from it, is no longer finite, now or since
-                the last reset. `now` stays.
-            SolveError: The equations have no solution. `now` stays, and so does the fault.
+            DivergedError: The state or a quantity computed from it is not finite, or was not since
+                the last reset. `now` does not change.
+            SolveError: The equations have no solution. `now` does not change.
         """
         if self.fault:
             raise DivergedError(f"{self.fault}; reset it first")
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+            with np.errstate(
+                over="ignore", invalid="ignore"
+            ):  # a divergence raises an error of its own
                 for watch in self.watches:
                     watch.begin(self._period)
                 u = self._inputs()
@@ -128,7 +130,7 @@ class LiveSimulation:
 
     @property
     def watches(self) -> tuple[CommandWatch, ...]:
-        """Everything that takes inputs."""
+        """Receivers of all inputs."""
         return self.watch, *(watch for _, watch in self._heard)
 
     @property
@@ -139,42 +141,42 @@ class LiveSimulation:
 
     @property
     def begun(self) -> list[str]:
-        """Names of the phases that began in the last tick and were another one before."""
+        """Names of the phases that began in the last tick with a change of the phase."""
         names, ends = phase_names(self.simulation.system), [e for e in self.events if e.ends_phase]
         sides = ((one.before.mode[0], one.after.mode[0]) for one in ends)
         return [names[after] for before, after in sides if after != before]
 
     def violation(self) -> Violation:
-        """How far the newest state is off the bilateral rows."""
+        """Return the violation of the bilateral constraints at the newest state."""
         return violation(during(self.simulation.system, self._y), self._y)
 
     def wrenches(self) -> list[Wrench]:
-        """The arrows of `showing` at the newest state."""
+        """Return the arrows of `showing` at the newest state."""
         return self.showing.wrenches(self._x, *self._evaluated)
 
     def cones(self) -> list[FrictionCone]:
-        """The friction cones of `showing` at the newest state."""
+        """Return the friction cones of `showing` at the newest state."""
         return self.showing.cones_at(self._x, *self._evaluated)
 
     def measured(self, sensors: NoisySensors, sample: int) -> list[Array]:
-        """What each sensor tells of the newest state.
+        """Return the measurement of each sensor at the newest state.
 
         Args:
-            sensors: With their noise.
+            sensors: Sensors with their noise.
             sample: Number of the sample since the start.
         """
         u, a, lam = self._evaluated
         system, reactions = self.simulation.system, None
         if sensors.needs_reactions:
-            if self._felt is None:
-                from mbd_ros.methods.inverse_dynamics import reactions as felt_reactions
+            if self._reactions is None:
+                from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 
-                self._felt = felt_reactions.FeltReactions(system)
-            reactions = self._felt.at(self._x, u, a, lam)
+                self._reactions = SystemReactions(system)
+            reactions = self._reactions.at(self._x, u, a, lam)
         return sensors.at(system, self._x, Now(a, lam, reactions), sample)
 
     def _inputs(self) -> Array:
-        """Inputs of this tick, shape (nu,); those of actuators come first."""
+        """Return the inputs of this tick, shape (nu,); those of actuators come first."""
         idle, n = self.simulation.system.loads.idle, self._commands
         u = idle.copy()
         if n:
@@ -184,12 +186,12 @@ class LiveSimulation:
         return u
 
     def _safe_command(self) -> Array:
-        """Safe commands of the actuators."""
+        """Return the safe commands of the actuators."""
         loads = self.simulation.system.loads
         return loads.command(self._safe_torque(), self._x)[: self._commands]
 
     def _safe_torque(self) -> Array:
-        """Safe torque of the actuated joints, shape (nu,)."""
+        """Return the safe torque of the actuated joints, shape (nu,)."""
         v = self._x.v[self._driven]
         if self._safe.is_zero:
             return np.zeros(len(v))
@@ -200,16 +202,16 @@ class LiveSimulation:
     def _observe(
         self, y: State, u: Array | None
     ) -> tuple[State, tuple[Array, Array, Array], Snapshot]:
-        """State of all joints; inputs, accelerations and multipliers there; what is shown."""
+        """Return the state of all joints; inputs, accelerations, multipliers; and a snapshot."""
         system = self.simulation.system
         x = system.expand(y)
-        a, lam, _ = seen_at(self.simulation, x, u, self.simulation.stepper.forces)
+        a, lam, _ = accelerations_at(self.simulation, x, u, self.simulation.stepper.forces)
         effort = system.loads.actuator_torque(system.k, x, u)
         evaluated = system.loads.inputs(x, u), a, lam
-        shown = self.showing.at(x, *evaluated)
+        outputs = self.showing.at(x, *evaluated)
         bodies = _bodies(system.robot, x, self._poses)
         joints = x.q[self._q], x.v[self._v], a[self._v], effort[self._v]
-        now = Snapshot(x.t, *joints, shown, *bodies)
+        now = Snapshot(x.t, *joints, outputs, *bodies)
         for name, values in zip(now._fields[1:], now[1:], strict=True):
             if values.size and not np.isfinite(values).all():
                 raise _not_finite(self, name, values, y)
@@ -218,7 +220,7 @@ class LiveSimulation:
 
 
 def _bodies(robot: Robot, x: State, before: Array) -> tuple[Array, Array]:
-    """Poses and twists of the free bodies at a state of all joints."""
+    """Return poses and twists of the free bodies at a state of all joints."""
     if not robot.bases:
         return before, _NO_TWISTS
     poses = [world_pose(robot, x.q[base.q]) for base in robot.bases]
@@ -227,7 +229,7 @@ def _bodies(robot: Robot, x: State, before: Array) -> tuple[Array, Array]:
 
 
 def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> MbdError:
-    """The error that names what is lost, and the last finite state if there is one."""
+    """Return the error that names the lost quantities and the last finite state."""
     system = live.simulation.system
     things: Sequence[Output | Joint | Base] = system.robot.joints
     if name == "shown":
@@ -238,21 +240,24 @@ def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> Mbd
     lost = ", ".join(
         thing.name for thing, row in zip(things, rows, strict=True) if not np.isfinite(row).all()
     )
-    kept = last_finite(system, live._y)
-    return DivergedError(f"diverged at t = {y.t:.9g} s: {name} of {lost} not finite; {kept}")
+    last = last_finite(system, live._y)
+    return DivergedError(f"diverged at t = {y.t:.9g} s: {name} of {lost} not finite; {last}")
 
 
 class Snapshot(NamedTuple):
     """One state of a simulation with the forces that led to it.
 
     Attributes:
-        position: Joints in the order of the robot [rad or m], shape (n,).
-        velocity: [rad/s or m/s], shape (n,).
-        acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.
-        effort: What the actuators exert on each joint [N·m or N], shape (n,).
-        shown: What parts show, multipliers first, see `LiveSimulation.showing`.
-        poses: Of the free bodies in the world, of the signs of the state before, shape (k, 7).
-        twists: Velocity, then angular velocity of the free bodies, in axes of each, shape (k, 6).
+        t: Time [s].
+        position: Positions of joints in the order of the robot [rad or m], shape (n,).
+        velocity: Velocities of joints [rad/s or m/s], shape (n,).
+        acceleration: Accelerations of joints under the command of the last tick [rad/s^2 or
+            m/s^2], shape (n,).
+        effort: Efforts of the actuators on the joints [N·m or N], shape (n,).
+        shown: Outputs of parts, multipliers first, see `LiveSimulation.showing`.
+        poses: Poses of the free bodies in the world, with quaternions of continuous sign, shape
+            (k, 7).
+        twists: Linear, then angular velocity of the free bodies in their axes, shape (k, 6).
     """
 
     t: float

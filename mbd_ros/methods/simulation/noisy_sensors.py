@@ -1,7 +1,8 @@
-"""What sensors tell of a simulation: exact values and noise that only depends on seed and sample.
+"""Simulated measurements: exact values plus noise that depends only on seed, sensor and sample.
 
-Source of the noise: J. K. Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC11 (2011),
-a counter (Philox) keyed by seed and sensor, so that no sensor changes what another one shows.
+The noise comes from the counter-based generator Philox, keyed by seed and sensor, so that the
+numbers of one sensor do not depend on other sensors. Source: J. K. Salmon et al., Parallel random
+numbers: as easy as 1, 2, 3, SC11 (2011).
 """
 
 from collections.abc import Sequence
@@ -15,43 +16,45 @@ from mbd_ros.core.state import Array, State
 
 
 class NoisySensors:
-    """Measurements of a simulation.
+    """Measurements of a simulation with noise.
 
     Args:
-        seed: Of the noise.
+        sensors: The sensors.
+        seed: Seed of the noise.
 
     Attributes:
-        needs_reactions: Whether one of them feels forces in joints.
+        needs_reactions: Whether a sensor measures forces in joints.
     """
 
     def __init__(self, sensors: Sequence[Sensor], seed: int) -> None:
         self.sensors = tuple(sensors)
         self._seed = seed
         self._reads = max((sensor.reads for sensor in sensors), default=Reads.NOTHING)
-        self.needs_reactions = any(one.level >= Measures.FORCE for one in sensors)
+        self.needs_reactions = any(sensor.level >= Measures.FORCE for sensor in sensors)
         self._roots: dict[int, Array] = {}
 
     def at(self, system: System, x: State, now: Now, sample: int) -> list[Array]:
-        """What each sensor tells.
+        """Return the measurement of each sensor.
 
         Args:
-            system: Of the simulation.
-            now: Accelerations and multipliers there, with reactions where they are needed.
+            system: System of the simulation.
+            x: State of all joints.
+            now: Accelerations and multipliers at x, with reactions if `needs_reactions`.
             sample: Number of the sample, >= 0.
         """
         k = system.k
         k.refresh(x.q, x.v, self._reads)
-        found = []
+        measurements = []
         for i, sensor in enumerate(self.sensors):
             exact = np.asarray(sensor.measure(k, x, now), dtype=np.float64)
             random = np.random.Generator(np.random.Philox(key=[self._seed, i], counter=sample))
-            found.append(
+            measurements.append(
                 exact + self._root(i, sensor, k, x).dot(random.standard_normal(len(exact)))
             )
-        return found
+        return measurements
 
     def _root(self, i: int, sensor: Sensor, k: Kinematics, x: State) -> Array:
-        """L with L L' the covariance of a sensor."""
+        """Return L such that L L' is the covariance of a sensor."""
         if i not in self._roots or sensor.noise_varies:
             values, vectors = np.linalg.eigh(sensor.covariance(k, x))
             self._roots[i] = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,10 +1,10 @@
-"""The command in force: the last one, or the safe one when no other comes.
+"""Command hold and safe command of actuators when commands stop arriving.
 
-    u = (1 - weight) held + weight safe
+    u = (1 - weight) last + weight safe
     safe torque of the actuated joints   tau = -(1/gain + h S A S')^-1 v
 
-`CommandWatch` holds the last command and hands over to the safe one; `SafeCommand` is what can be
-trusted without a command.
+`CommandWatch` holds the last command and blends to the safe one after a timeout; `SafeCommand`
+computes the safe torque.
 """
 
 import math
@@ -21,25 +21,26 @@ TYPES = ("damping", "zero")
 
 
 class CommandWatch:
-    """Holds the last command and hands over to the safe one after `timeout`, within `ramp`.
+    """Holds the last command, and blends to the safe command after `timeout`, within `ramp`.
 
-        u = (1 - weight) held + weight safe
+        u = (1 - weight) last + weight safe
 
-    The weight never jumps, so that neither the hand-over nor the return is a bump. All times are
-    those of the simulation: while it stands, nothing times out. The safe command acts before the
-    first one; a first command within `timeout` acts at once.
+    The weight is continuous, so that neither the transition nor the return causes a jump. All
+    times are simulated time: while the simulation is paused, nothing times out. Before the first
+    command the safe command applies; a first command within `timeout` applies at once.
 
     Args:
-        timeout: How long a command is held without a successor [s], > 0.
-        ramp: Duration of the hand-over [s], >= 0.
+        timeout: Time for which a command is held without a new one [s], > 0.
+        ramp: Duration of the transition [s], >= 0.
 
     Attributes:
-        timeout: See above; may change at any time.
-        ramp: See above; may change at any time.
-        held: The last command, shape (nu,); None before the first.
+        timeout: Argument of this name; may change at any time.
+        ramp: Argument of this name; may change at any time.
+        last: The last command, shape (nu,); None before the first.
         weight: Share of the safe command, 0 .. 1.
         age: Time since the last command, or since the start [s].
-        superseded: Those of them that another one replaced before a tick used them.
+        received: Number of received commands.
+        superseded: Number of commands that were replaced before a tick used them.
     """
 
     def __init__(self, timeout: float, ramp: float) -> None:
@@ -49,19 +50,21 @@ class CommandWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the commands; the counts stay."""
-        self.held: Array | None = None
+        """Discard the commands; the counts stay."""
+        self.last: Array | None = None
         self.weight, self.age = 0.0, 0.0
         self._is_new = False
 
     def take(self, u: Array) -> None:
-        """A new command, shape (nu,), not to be changed by the caller any more."""
+        """Take a new command, shape (nu,), which the caller must not change afterwards."""
         self.received += 1
         self.superseded += self._is_new
-        self.held, self.age, self._is_new = u, 0.0, True
+        self.last = u
+        self.age = 0.0
+        self._is_new = True
 
     def begin(self, period: float) -> None:
-        """A tick of that length [s] begins: the weight of the safe command for it."""
+        """Begin a tick of a period [s]: update the weight of the safe command."""
         self._is_new = False
         step = period / self.ramp if self.ramp > 0.0 else math.inf
         late = self.age >= self.timeout - _ROUNDING
@@ -69,39 +72,39 @@ class CommandWatch:
         self.age += period
 
     def value(self, safe: Callable[[], Array]) -> Array:
-        """The command of the tick that began: the held one, the safe one, or a mixture.
+        """Return the command of the tick that began: the last one, the safe one, or a blend.
 
         Args:
-            safe: Gives the safe command, shape (nu,); is asked only where it takes part.
+            safe: Function that returns the safe command, shape (nu,); called only if needed.
         """
-        if self.held is None:
+        if self.last is None:
             return safe()
         if self.weight == 0.0:
-            return self.held
-        return (1.0 - self.weight) * self.held + self.weight * safe()
+            return self.last
+        return (1.0 - self.weight) * self.last + self.weight * safe()
 
     @property
     def is_safe(self) -> bool:
-        """Whether the safe command takes part."""
-        return self.held is None or self.weight > 0.0
+        """Whether the safe command contributes to the command."""
+        return self.last is None or self.weight > 0.0
 
 
 @dataclass(frozen=True)
 class SafeCommand:
-    """The `safe` section: torque of the actuated joints without a command.
+    """Torque of the actuated joints without a command, the `safe` section of a scene.
 
-    `damping` is tau = -gain v, held for a step of h. A held damper stronger than the step
-    allows would drive the joints that it should brake; hence the implicit form
+    `damping` applies tau = -gain v, which is constant over a step h. An explicit damper that is
+    too strong for the step would accelerate the joints instead of braking them; the implicit form
 
         tau = -(1/gain + h S A S')⁻¹ v
 
-    which is -gain v for small steps and at most stops the joints within one. A are the
-    accelerations of unit torques, S picks the actuated joints. `zero` is no torque. It is not the
-    default, since a leg in stance would fall.
+    equals -gain v for small steps and at most stops the joints within one. A are the
+    accelerations of unit torques, S selects the actuated joints. `zero` applies no torque. It is
+    not the default, since a leg in stance would fall.
 
     Attributes:
         type: damping or zero.
-        gain: Of the damping [N·m·s/rad or N·s/m], >= 0, finite.
+        gain: Damping gain [N·m·s/rad or N·s/m], >= 0, finite.
     """
 
     type: str = "damping"
@@ -119,12 +122,12 @@ class SafeCommand:
         return self.type == "zero" or self.gain == 0.0
 
     def torque(self, v: Array, response: Array, step: float) -> Array:
-        """Torque of the actuated joints [N·m or N], shape (n,).
+        """Return the torque of the actuated joints [N·m or N], shape (n,).
 
         Args:
-            v: Their velocity [rad/s or m/s], shape (n,).
-            response: S A S': their accelerations per unit torque, shape (n, n).
-            step: How long the torque is held [s].
+            v: Velocity of the actuated joints [rad/s or m/s], shape (n,).
+            response: S A S', their accelerations per unit torque, shape (n, n).
+            step: Time for which the torque is constant [s].
         """
         if self.is_zero:
             return np.zeros(len(v))

@@ -1,7 +1,7 @@
-"""Samples of a run: when they are due, which inputs hold until then, and how a run is resumed.
+"""Samples of a run: their times, the inputs in between, and checkpoints.
 
-Samples are at origin + n dt, the last one exactly at the end. Inputs u are held from jump to jump,
-and steps end at jumps. A `Checkpoint` is all that the samples after the newest one depend on.
+Samples are at origin + n dt, the last one exactly at the end. Inputs u are constant from jump to
+jump, and steps end at jumps. A `Checkpoint` holds everything on which later samples depend.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from mbd_ros.methods.simulation.stall import WINDOW, StallWatch
 
 _FIRST = 64  # samples of the first block
 _MOST = 4096  # samples of any block
-_ROWS = 65536  # rows of held inputs of a block
+_ROWS = 65536  # largest number of input intervals of a block
 Alone = Callable[[State, Array | None, float], State]
 
 
 class SampleTimes(NamedTuple):
-    """When the samples of a run are due.
+    """Times of the samples of a run.
 
     Attributes:
-        origin: Time of the first one [s].
+        origin: Time of the first sample [s].
         dt: Interval [s].
-        last: Time of the last one [s].
-        end: Number of the last one; the first is 0.
-        resolution: How finely times are told apart this late [s].
-        slack: Times that are as near as this are the same [s].
+        last: Time of the last sample [s].
+        end: Number of the last sample; the first is 0.
+        resolution: Resolution of floating-point times at the end of the run [s].
+        slack: Two times that differ by at most this count as equal [s].
     """
 
     origin: float
@@ -46,19 +46,19 @@ class SampleTimes(NamedTuple):
     slack: float
 
     def due(self, sample: int) -> float:
-        """Time of a sample [s]."""
+        """Return the time of a sample [s]."""
         return min(self.origin + sample * self.dt, self.last)
 
 
 def sample_times(origin: float, duration: float, dt: float) -> SampleTimes:
-    """Those of a run from `origin` on; a last shorter interval ends exactly at its end."""
+    """Return the sample times of a run from `origin`; the last interval may be shorter."""
     last, end = origin + duration, math.ceil(duration / dt - SAME_TIME)
     resolution = 2.0 * math.ulp(max(abs(origin), abs(last)))
     return SampleTimes(origin, dt, last, end, resolution, max(SAME_TIME * dt, resolution))
 
 
 def step_end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bool) -> float:
-    """Time that the step after a sample should not pass, so that samples are n dt apart."""
+    """Return the latest end of the step after a sample, so that samples stay at n dt."""
     here = times.origin + sample * times.dt
     late = abs(here - y.t)
     is_rounded = late > 0.2 * times.slack or is_fixed  # a sum of steps, to be put right
@@ -68,17 +68,17 @@ def step_end(y: State, sample: int, times: SampleTimes, now: float, is_fixed: bo
 
 
 class HeldInputs:
-    """Holds u until its next jump, where a step must end.
+    """Zero-order hold of the inputs u from jump to jump, where steps must end.
 
     Args:
-        sources: What gives u.
-        times: Samples of the run: jumps that fall on one are moved there.
-        now: When u jumped last, or the start of the run [s].
+        sources: Input sources of u.
+        times: Sample times of the run; a jump next to a sample is moved onto it.
+        now: Time of the last jump of u, or start of the run [s].
 
     Attributes:
         u: Inputs from `now` on; None without sources.
-        now: When u jumped last, or the start of the run [s].
-        end: Time that the next step must not pass [s]; inf without a jump to come.
+        now: Time of the last jump of u, or start of the run [s].
+        end: Time of the next jump, where a step must end [s]; inf if there is none.
     """
 
     def __init__(self, sources: Sources, times: SampleTimes, now: float) -> None:
@@ -89,8 +89,8 @@ class HeldInputs:
         self.u: Array | None = None
         self._hold(now)
 
-    def reach(self, t: float) -> None:
-        """Hold what is valid from a time [s] on, where a step ended."""
+    def advance(self, t: float) -> None:
+        """Update the inputs at the end [s] of a step."""
         if t >= self.end:
             self._hold(self.end)
 
@@ -99,7 +99,7 @@ class HeldInputs:
         while self._next <= now + self._times.slack:
             jump = max(jump, self._next)
             self._next = next(self._jumps, math.inf)
-        self.u = self._sources.held(jump)
+        self.u = self._sources.hold(jump)
         self.end = self._on_sample(self._next) if self._next < math.inf else math.inf
 
     def _on_sample(self, jump: float) -> float:
@@ -109,14 +109,14 @@ class HeldInputs:
 
 
 class Progress(NamedTuple):
-    """How far a run is.
+    """Progress of a run.
 
     Attributes:
-        origin: Its first time [s]; samples are at origin + sample dt.
-        sample: Number of the newest one; the first is 0.
-        y: What is integrated, after the last step.
-        is_within: Whether the last step has samples inside that are still to come.
-        held_since: When inputs jumped last [s].
+        origin: First time of the run [s]; samples are at origin + sample dt.
+        sample: Number of the newest sample; the first is 0.
+        y: State of the integrated coordinates after the last step.
+        is_within: Whether the last step contains samples that have not been returned yet.
+        held_since: Time of the last jump of the inputs [s].
     """
 
     origin: float
@@ -127,9 +127,10 @@ class Progress(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """A simulation at a sample; one of the same scene, method and dt continues with the same bits.
+    """State of a simulation at a sample.
 
-    It holds numbers and arrays only, and can be pickled.
+    A simulation of the same scene, method and dt continues from it with bit-identical results. It
+    holds only numbers and arrays, and can be pickled.
 
     Attributes:
         made_by: Method, dt [s], and sizes of what is integrated.
@@ -180,111 +181,116 @@ class SampleBlocks:
         self._idle = system.loads.idle
         stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
         self._before: tuple[Memory, HeldTable] | None = None
-        self._seen = 0
+        self._yielded = 0
         self._at = at
         self._end: tuple[HeldTable, int | None] | None = None
 
     def rows(
-        self, watch: StallWatch, most: int = _FIRST, *, is_remembered: bool = False
+        self, watch: StallWatch, most: int = _FIRST, *, keeps_checkpoint: bool = False
     ) -> Iterator[Array]:
-        """Blocks of samples, as of `SampleBlock.rows`.
+        """Yield blocks of samples in the layout of `SampleBlock.rows`.
 
         Args:
-            watch: Looks at the pace of the steps.
-            most: Samples of the first block.
-            is_remembered: Whether `remembered` will be asked.
+            watch: Watches the pace of the steps.
+            most: Number of samples of the first block.
+            keeps_checkpoint: Whether `checkpoint` may be called between samples.
         """
         stepper, times, most = self.stepper, self._times, min(most, _MOST)
         watch.begin(self._at.y.t)
-        look_at, since = WINDOW, stepper.taken
-        held = self._table(most)
+        check_at, since = WINDOW, stepper.steps_taken
+        table = self._table(most)
         while stepper.newest < times.end:
-            if is_remembered:
-                self._before, self._seen = (stepper.memory(), held), 0
-            block = stepper.samples(times, held, look_at - (stepper.taken - since), most)
+            if keeps_checkpoint:
+                self._before = stepper.checkpoint(), table
+                self._yielded = 0
+            block = stepper.samples(times, table, check_at - (stepper.steps_taken - since), most)
             if len(block.rows):
                 yield block.rows
-            self._end = held, block.intervals
+            self._end = table, block.intervals
             if stepper.newest == times.end:
                 break
-            held = self._left(held, block, most)
+            table = self._remaining_inputs(table, block, most)
             if block.is_stuck:
-                self._step_alone(held)
-            if stepper.taken - since >= look_at:
-                watch.look(stepper.state, held.values[0], times.last)
-                since = stepper.taken
+                self._step_alone(table)
+            if stepper.steps_taken - since >= check_at:
+                watch.check(stepper.state, table.values[0], times.last)
+                since = stepper.steps_taken
             most = min(2 * most, _MOST)
 
-    def whole(self, first: Array) -> Callable[[], Array | None]:
-        """What takes the run from its start to its end at once, as `BlockStepper.whole`."""
-        held = self._table(self._times.end)
-        if held.until[-1] < self._times.last:
+    def full_run(self, first: Array) -> Callable[[], Array | None]:
+        """Return a function that computes the full run at once, see `BlockStepper.full_run`."""
+        table = self._table(self._times.end)
+        if table.until[-1] < self._times.last:
             return lambda: None
-        take = self.stepper.whole(self._at.y, first, self._times, held, WINDOW)
+        take = self.stepper.full_run(self._at.y, first, self._times, table, WINDOW)
 
-        def taken() -> Array | None:
-            self._end = held, None
+        def compute() -> Array | None:
+            self._end = table, None
             return take()
 
-        return taken
+        return compute
 
     def states(self, watch: StallWatch) -> Iterator[State]:
-        """The same, a state of all joints at a time."""
+        """Yield the samples one by one as states of all joints."""
         after_q, after_v = self._ends
-        for rows in self.rows(watch, is_remembered=True):
-            for self._seen, row in enumerate(rows, 1):
+        for rows in self.rows(watch, keeps_checkpoint=True):
+            for self._yielded, row in enumerate(rows, 1):
                 z = row[after_v:]
                 q, v = row[1:after_q], row[after_q:after_v]
                 yield State(float(row[0]), q, v, z if z.size else NONE)
 
     @property
     def progress(self) -> Progress:
-        """How far the run is after the last block."""
+        """Progress of the run after the last block."""
         return self._at if self._end is None else self._progress(*self._end)
 
-    def remembered(self) -> tuple[Progress, int, Memory]:
-        """How far the run is at the newest sample that was given, steps until then, memory."""
+    def checkpoint(self) -> tuple[Progress, int, Memory]:
+        """Return progress, number of steps and stepper memory at the newest yielded sample."""
         stepper = self.stepper
         if self._before is None:
-            return self.progress, stepper.taken, stepper.memory()
-        memory, held = self._before
-        after = stepper.memory()
-        stepper.recall(memory, memory["last"])
-        block = stepper.samples(self._times, held, 2**62, self._seen)
-        found = self._progress(held, block.intervals), stepper.taken, stepper.memory()
-        stepper.recall(after, after["last"])
-        return found
+            return self.progress, stepper.steps_taken, stepper.checkpoint()
+        memory, table = self._before
+        after = stepper.checkpoint()
+        stepper.restore(memory, memory["last"])
+        block = stepper.samples(self._times, table, 2**62, self._yielded)
+        checkpoint = (
+            self._progress(table, block.intervals),
+            stepper.steps_taken,
+            stepper.checkpoint(),
+        )
+        stepper.restore(after, after["last"])
+        return checkpoint
 
-    def _progress(self, held: HeldTable, interval: int | None) -> Progress:
-        """How far the run is, in an interval of held inputs or after the last one."""
+    def _progress(self, table: HeldTable, interval: int | None) -> Progress:
+        """Return the progress in an interval of constant inputs, None for the last one."""
         stepper = self.stepper
         if interval is None:
-            interval = int(np.searchsorted(held.now, stepper.state.t, side="right")) - 1
-        now = held.until[-1] if interval == len(held.now) else held.now[interval]
+            interval = int(np.searchsorted(table.now, stepper.state.t, side="right")) - 1
+        now = table.until[-1] if interval == len(table.now) else table.now[interval]
         return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
 
-    def _step_alone(self, held: HeldTable) -> None:
-        """One step by whatever takes it, to the next sample at most if samples within are none."""
+    def _step_alone(self, table: HeldTable) -> None:
+        """Take one step outside blocks, to the next sample at most if it cannot span samples."""
         stepper, sample, times = self.stepper, self.stepper.newest, self._times
         end = times.due(sample + 1)
         if stepper.spans_samples and not stepper.ends_at_samples:
-            now = float(held.now[0])
+            now = float(table.now[0])
             end = step_end(stepper.state, sample, times, now, stepper.is_fixed)
-        y = self._alone(stepper.state, held.values[0], min(end, float(held.until[0])))
+        y = self._alone(stepper.state, table.values[0], min(end, float(table.until[0])))
         stepper.begin_samples(y, sample, is_within=True)
 
-    def _left(self, held: HeldTable, block: SampleBlock, most: int) -> HeldTable:
-        """The inputs from where a block ended."""
-        rest = HeldTable(*(rows[block.intervals :] for rows in held))
+    def _remaining_inputs(self, table: HeldTable, block: SampleBlock, most: int) -> HeldTable:
+        """Return the inputs from the end of a block on."""
+        remaining = HeldTable(*(rows[block.intervals :] for rows in table))
         enough = self._times.due(self.stepper.newest + most)
-        if len(rest.until) and (rest.until[-1] >= enough or len(rest.until) > _ROWS // 2):
-            return rest
-        more = self._table(most)
-        both = zip(rest, more, strict=True)
+        until = remaining.until
+        if len(until) and (until[-1] >= enough or len(until) > _ROWS // 2):
+            return remaining
+        both = zip(remaining, self._table(most), strict=True)
         return HeldTable(*(np.concatenate(pair) for pair in both))
 
     def _table(self, most: int) -> HeldTable:
-        """Inputs from the end of the last table on, as far as so many samples take them."""
+        """Return the inputs from the end of the last table on, for at most so many samples."""
         inputs, end = self._inputs, self._times.due(self.stepper.newest + most)
         until: list[float] = []
         values: list[Array] = []
@@ -295,20 +301,21 @@ class SampleBlocks:
             until.append(inputs.end)
             if inputs.end == np.inf:
                 break
-            inputs.reach(inputs.end)
+            inputs.advance(inputs.end)
         return HeldTable(np.array(until), np.array(values).reshape(len(until), -1), np.array(now))
 
 
 class RunTable:
-    """A run from a start to its end as rows, taken again where it is asked for again.
+    """A full run as rows, which can be computed again with the same setup.
 
     Args:
-        x: State of all joints that it was asked for.
-        duration: [s].
-        begin: Begins the run.
+        x: Initial state of all joints, before its projection.
+        duration: Duration of the run [s].
+        first: Projected initial state of all joints.
+        begin: Function that begins the run.
 
     Attributes:
-        blocks: The run as it was begun last.
+        blocks: The newest run.
     """
 
     def __init__(
@@ -319,17 +326,17 @@ class RunTable:
         self._begin = begin
         self._first = np.concatenate(([first.t], *first[1:4]))
         self.blocks = begin()
-        self._take = self.blocks.whole(self._first)
+        self._take = self.blocks.full_run(self._first)
 
-    def serves(self, x: State, duration: float) -> bool:
-        """Whether it is the run of a start and a duration."""
+    def matches(self, x: State, duration: float) -> bool:
+        """Return whether this is the run with an initial state and a duration."""
         return duration == self._duration and (x is self._x or is_same(x, self._x))
 
     def rows(self, watch: StallWatch) -> Array:
-        """The samples, as of `SampleBlock.rows`.
+        """Compute all samples in the layout of `SampleBlock.rows`.
 
         Args:
-            watch: Looks at the pace of the steps.
+            watch: Watches the pace of the steps.
         """
         rows = self._take()
         if rows is None:
@@ -339,18 +346,18 @@ class RunTable:
         return rows
 
 
-def refuse_other(checkpoint: Checkpoint, made_by: tuple[str, float, int, int, int]) -> None:
-    """Refuse a checkpoint of something else.
+def check_origin(checkpoint: Checkpoint, made_by: tuple[str, float, int, int, int]) -> None:
+    """Check that a checkpoint belongs to a simulation.
 
     Raises:
-        ModelError: It is one of another method or dt, or of other sizes.
+        ModelError: Its method, dt or number of states differs.
     """
     if checkpoint.made_by != made_by:
-        texts = (_words(*made) for made in (checkpoint.made_by, made_by))
+        texts = (_describe(*made) for made in (checkpoint.made_by, made_by))
         raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
 
 
-def _words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
-    """What made a checkpoint, for messages; arguments are `Checkpoint.made_by`."""
+def _describe(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
+    """Describe the simulation of a checkpoint by the entries of `Checkpoint.made_by`."""
     states = f", {nv} velocities and {nz} internal states" if nz else f" and {nv} velocities"
     return f"{method} with dt {dt:g} s, {nq} positions{states}"

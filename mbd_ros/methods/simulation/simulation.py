@@ -1,7 +1,7 @@
-"""A simulation: a system, an integrator and a stabilization at work.
+"""Simulation of a system with an integrator and a stabilization of constraint drift.
 
-`run` and `sampled` predict a motion from its start to its end, in samples; `advance` steps to a
-given time. A run can be resumed from a `Checkpoint`, with the same bits.
+`run` and `sampled` predict a whole motion in samples; `advance` steps to a time. A run can be
+resumed from a `Checkpoint` with bit-identical results.
 """
 
 import math
@@ -23,25 +23,27 @@ from mbd_ros.methods.simulation.samples import (
     Progress,
     RunTable,
     SampleBlocks,
-    refuse_other,
+    check_origin,
     sample_times,
     step_end,
 )
-from mbd_ros.methods.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, refuse_crawl
+from mbd_ros.methods.simulation.stall import PATIENCE, WINDOW, Notice, StallWatch, check_pace
 
-_STRIDE = 16  # steps after which a state must be finite
+_STRIDE = 16  # steps between two checks that the state is finite
 
 
 class Simulation(CheckedSteps):
-    """Predicts motion from forces and commands.
+    """Simulation of a mechanism: predicts its motion from forces and commands.
 
     Args:
-        system: The system; its rows are corrected as the stabilization demands.
-        stabilization: What keeps the rows; idle where the integrator keeps them itself.
+        system: The equations of motion.
+        integrator: The integration method.
+        stabilization: Correction of constraint drift; unused if the integrator satisfies the
+            constraints itself.
         dt: Step of a fixed-step method, and interval of the output [s], > 0.
 
     Attributes:
-        how: What code takes the steps, for people; empty where nobody asked for other code.
+        how: Description of compiled code that takes the steps; empty if there is none.
     """
 
     def __init__(
@@ -54,14 +56,15 @@ class Simulation(CheckedSteps):
         self._table: RunTable | None = None
 
     def start(self, x: State, u: Array | None = None) -> State:
-        """The nearest consistent state of the integrated coordinates to a state of all joints.
+        """Start at the nearest consistent state and return it in the integrated coordinates.
 
         Args:
-            u: Inputs there, which may decide in which mode it goes on.
+            x: State of all joints.
+            u: Inputs at the start, which can affect the initial mode of contacts.
 
         Raises:
-            SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
-                internal states have no equilibrium there; or bodies of contacts overlap.
+            SolveError: The mechanism cannot be assembled near x, its mass matrix is singular,
+                internal states have no equilibrium, or bodies of contacts overlap.
             ModelError: An internal state starts outside its bounds.
         """
         self.stepper.restart()
@@ -83,39 +86,41 @@ class Simulation(CheckedSteps):
         duration: float,
         notice: Notice | None = None,
     ) -> Iterator[State]:
-        """States of all joints every dt, the first one included; steps end where inputs jump.
+        """Yield the states of all joints every dt, including the first one.
+
+        Steps end where inputs jump.
 
         Args:
-            x: State of all joints; moved onto the constraints first. Or a checkpoint of a run: the
-                samples after it follow.
-            duration: [s], >= 0, from the first time of the run on; a last shorter interval ends
-                exactly there.
-            notice: Is called once where steps are so short that the end is far away.
+            x: Initial state of all joints, which is projected onto the constraints; or a
+                checkpoint of a run, whose remaining samples follow.
+            duration: Duration from the first time of the run [s], >= 0. The last interval can be
+                shorter than dt, so that the run ends exactly there.
+            notice: Function that is called once if steps are so short that the end is far away.
 
         Raises:
-            DivergedError: The state is no longer finite, or steps are too short to get to the end.
-            SolveError: The mechanism cannot be assembled, or equations contradict one another.
-            ModelError: The checkpoint is one of another scene, method or dt.
+            DivergedError: The state is no longer finite, or steps are too short to reach the end.
+            SolveError: The mechanism cannot be assembled, or an equation has no solution.
+            ModelError: The checkpoint belongs to another scene, method or dt.
         """
         if isinstance(x, Checkpoint):
             self.resume(x)
         else:
-            u = self.system.loads.sources.held(x.t)
+            u = self.system.loads.sources.hold(x.t)
             yield self.system.expand(self.start(x, u))
         yield from self._samples(self._progressed(), duration, notice)
 
     def _samples(self, at: Progress, duration: float, notice: Notice | None) -> Iterator[State]:
-        """States of all joints at the samples after the newest one."""
+        """Yield the states of all joints at the samples after the newest one."""
         times, (origin, k, y, is_within, now) = sample_times(at.origin, duration, self.dt), at
         stepper = self.stepper
         if isinstance(stepper, BlockStepper) and stepper.takes_blocks:
             self._blocks = SampleBlocks(stepper, self.system, times, at, self._step)
             for x in self._blocks.states(StallWatch(self.system, self.dt, notice)):
-                self.steps = stepper.taken
+                self.steps = stepper.steps_taken
                 yield x
             self._progress, self._blocks = self._blocks.progress, None
             return
-        watch, look_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
+        watch, check_at = StallWatch(self.system, self.dt, notice), self.steps + WINDOW
         watch.begin(y.t)
         inputs = HeldInputs(self.system.loads.sources, times, now)
         while k < times.end:
@@ -125,9 +130,9 @@ class Simulation(CheckedSteps):
                 if not self.stepper.ends_at_samples:
                     end = step_end(y, k, times, inputs.now, self.stepper.is_fixed)
                 y = self._step(y, inputs.u, min(end, inputs.end))
-                if self.steps >= look_at:
-                    watch.look(y, inputs.u, times.last)
-                    look_at = self.steps + WINDOW
+                if self.steps >= check_at:
+                    watch.check(y, inputs.u, times.last)
+                    check_at = self.steps + WINDOW
                 if 0.0 < abs(y.t - due) <= times.resolution == times.slack:  # times are coarse
                     y = y._replace(t=due)
                     self.stepper.continue_from(y)
@@ -139,28 +144,28 @@ class Simulation(CheckedSteps):
             is_within, y_next, y = False, y, self._corrected(y)
             if y is not y_next:
                 self.stepper.continue_from(y)
-            inputs.reach(y.t)
+            inputs.advance(y.t)
             if k < times.end and due <= y.t + times.slack:
                 k += 1
                 self._progress = Progress(origin, k, y, False, inputs.now)
                 yield self.system.expand(y)
 
     def sampled(self, x: State, duration: float) -> Array:
-        """The states of `run` as rows: time, positions, velocities, internal states.
+        """Return the states of `run` as rows: time, positions, velocities, internal states.
 
         Args:
-            x: As for `run`.
-            duration: As for `run`.
+            x: Initial state of all joints.
+            duration: Duration of the run [s].
 
         Returns:
-            Shape (samples, 1 + nq + nv + nz), of all joints.
+            States of all joints, shape (samples, 1 + nq + nv + nz).
 
         Raises:
-            DivergedError: As `run`.
+            DivergedError: The state is no longer finite, or steps are too short to reach the end.
         """
         stepper = self.stepper
-        if self._table is None or not self._table.serves(x, duration):
-            first = self.start(x, self.system.loads.sources.held(x.t))
+        if self._table is None or not self._table.matches(x, duration):
+            first = self.start(x, self.system.loads.sources.hold(x.t))
             if not (isinstance(stepper, BlockStepper) and stepper.takes_blocks):
                 return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
             times, at = sample_times(first.t, duration, self.dt), self._progressed()
@@ -168,57 +173,63 @@ class Simulation(CheckedSteps):
             self._table = RunTable(x, duration, self.system.expand(first), begin)
         rows = self._table.rows(StallWatch(self.system, self.dt))
         self._blocks = self._table.blocks
-        self.steps = self._blocks.stepper.taken
+        self.steps = self._blocks.stepper.steps_taken
         return rows
 
     def checkpoint(self) -> Checkpoint:
-        """All that the samples after the newest one depend on, beside the scene and its inputs.
+        """Return everything on which later samples depend, apart from the scene and its inputs.
 
         Raises:
-            ModelError: Nothing was started yet.
+            ModelError: The simulation has not started.
         """
-        stops = {} if self.overshoots is None else self.overshoots.memory()
+        stops = {} if self.overshoots is None else self.overshoots.checkpoint()
         if self._blocks is not None:
-            progress, steps, memory = self._blocks.remembered()
+            progress, steps, memory = self._blocks.checkpoint()
         else:
-            progress, steps, memory = self._progressed(), self.steps, self.stepper.memory()
+            progress, steps, memory = self._progressed(), self.steps, self.stepper.checkpoint()
         return Checkpoint(self._made_by, progress, steps, self.worst, stops, memory)
 
     def resume(self, checkpoint: Checkpoint) -> State:
-        """Go back to a checkpoint; returns the state of the integrated coordinates there.
+        """Return to a checkpoint.
+
+        Returns:
+            State of the integrated coordinates at the checkpoint.
 
         Raises:
-            ModelError: It is one of another scene, method or dt.
+            ModelError: The checkpoint belongs to another scene, method or dt.
         """
-        refuse_other(checkpoint, self._made_by)
+        check_origin(checkpoint, self._made_by)
         self._progress, self.steps, self.worst = checkpoint[1:4]
         y, self._blocks = checkpoint.progress.y, None
         self.stepper.restart()
-        self.stepper.recall(checkpoint.memory, y)
+        self.stepper.restore(checkpoint.memory, y)
         if self.overshoots is not None:
-            self.overshoots.recall(checkpoint.stops, y)
+            self.overshoots.restore(checkpoint.stops, y)
         return y
 
     def advance(self, y: State, u: Array | None, due: float) -> State:
-        """State of the integrated coordinates at a time, in as many steps as the method needs.
+        """Advance to a time, in as many steps as the method needs.
 
         Args:
-            y: What `start` or the last `advance` returned.
-            u: Commands, held until then.
-            due: [s]; y itself at or after it.
+            y: Result of `start` or of the last `advance`.
+            u: Commands, constant until then.
+            due: Time to reach [s]; if y is not before it, y is returned.
+
+        Returns:
+            State of the integrated coordinates.
 
         Raises:
             DivergedError: The state is no longer finite.
-            SolveError: Equations contradict one another.
+            SolveError: An equation has no solution.
         """
-        is_looked_at = self._is_corrected or self.overshoots is not None
+        checks_steps = self._is_corrected or self.overshoots is not None
         nearly = due - max(SAME_TIME * self.dt, 2.0 * math.ulp(due))
-        begin, first, look_at = y.t, self.steps, self.steps + PATIENCE * WINDOW
+        begin, first, check_at = y.t, self.steps, self.steps + PATIENCE * WINDOW
         while y.t < nearly:
-            if self.steps >= look_at:
-                refuse_crawl(self.system, y, u, (y.t - begin) / (self.steps - first), self.dt, due)
-                look_at = self.steps + WINDOW
-            y_next = self._step(y, u, due, 1 if is_looked_at else _STRIDE)
+            if self.steps >= check_at:
+                check_pace(self.system, y, u, (y.t - begin) / (self.steps - first), self.dt, due)
+                check_at = self.steps + WINDOW
+            y_next = self._step(y, u, due, 1 if checks_steps else _STRIDE)
             y = self._corrected(y_next)
             if y is not y_next:
                 self.stepper.continue_from(y)

@@ -1,4 +1,4 @@
-"""Simulations that hardly advance: the pace of their steps, and why they are so short."""
+"""Detection of stalled simulations: the pace of their steps, and the likely cause."""
 
 from collections.abc import Callable
 
@@ -11,26 +11,26 @@ from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.methods.integration.linear_motion import linear_motion
 
 Notice = Callable[[str], None]
-WINDOW = 10_000  # steps between two looks
-_SHORTENED = 0.05  # mean step, in dt: the method has shortened it
-_SHORT = 5.0e-5  # mean step, in dt: far too short
-_LONG = 3.0e6  # steps left at this pace: minutes
-_HOPELESS = 3.0e7  # steps left at this pace: hours
-PATIENCE = 3  # windows in a row without hope
-_AT_THE_LIMIT = 0.3  # rate times step from which on the rate explains the step
+WINDOW = 10_000  # steps between two checks
+_SHORTENED = 0.05  # mean step relative to dt, below which the method has shortened it
+_SHORT = 5.0e-5  # mean step relative to dt, below which it is far too short
+_LONG = 3.0e6  # remaining steps that take minutes
+_HOPELESS = 3.0e7  # remaining steps that take hours
+PATIENCE = 3  # hopeless windows in a row before an error
+_AT_THE_LIMIT = 0.3  # rate times step above which stiffness explains the short steps
 
 
 class StallWatch:
-    """Looks at the pace of a simulation, every `WINDOW` steps.
+    """Checks the pace of a simulation every `WINDOW` steps.
 
-    A run is slow where the method has shortened its steps and millions of them are left; one
-    notice reports it. A run is hopeless where it takes more than 20 000 steps an interval of the
-    output and tens of millions are left, three looks in a row. A stiff scene whose end is within
-    reach continues, and so does one that is slow for a while.
+    A run is slow if the method has shortened its steps and millions of them remain; one notice
+    reports it. A run is hopeless if it takes more than 20 000 steps for an interval of the output
+    and tens of millions remain, in three checks in a row; this is an error. A stiff scene that can
+    still reach its end continues, and so does one that is only temporarily slow.
 
     Args:
         dt: Interval of the output [s].
-        notice: Is called for a slow run; may be None.
+        notice: Function that is called for a slow run; None for no notice.
     """
 
     def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
@@ -41,18 +41,19 @@ class StallWatch:
         self._t = 0.0
 
     def begin(self, t: float) -> None:
-        """Start to look at a time [s]."""
+        """Begin to watch at a time [s]."""
         self._hopeless, self._t = 0, t
 
-    def look(self, x: State, u: Array | None, end: float) -> None:
+    def check(self, x: State, u: Array | None, end: float) -> None:
         """Judge the last `WINDOW` steps.
 
         Args:
-            x: State of the integrated coordinates now.
-            end: Time at which the run is to end [s].
+            x: Current state of the integrated coordinates.
+            u: Current inputs.
+            end: End of the run [s].
 
         Raises:
-            DivergedError: There is no hope; names joint, time and likely cause.
+            DivergedError: The run is hopeless; the message names joint, time and likely cause.
         """
         step, self._t = (x.t - self._t) / WINDOW, x.t
         left = (end - x.t) / max(step, TINY)
@@ -79,7 +80,7 @@ def _described(system: System, x: State, u: Array | None, step: float, end: floa
 
 
 def _cause(system: System, x: State, u: Array | None, step: float) -> str:
-    """The joint that asks for the short steps, and what makes it do so."""
+    """Name the joint that requires the short steps, with the likely cause and a remedy."""
     full = system.expand(x)
     system.k.refresh(full.q, full.v, system.loads.reads)
     if system.loads.beside(system.k, full) is not system.loads:
@@ -120,24 +121,25 @@ def _joint(system: System, share: Array) -> str:
 
 
 def _mover(system: System, share: Array) -> str:
-    """What has the largest share, among joints and internal states."""
+    """Return the joint or internal state with the largest share."""
     beyond = int(share.argmax()) - system.nv
     return _joint(system, share[: system.nv]) if beyond < 0 else system.internals.names[beyond]
 
 
-def refuse_crawl(
+def check_pace(
     system: System, x: State, u: Array | None, step: float, dt: float, end: float
 ) -> None:
-    """Refuse to continue within a tick that has taken `PATIENCE` windows of steps.
+    """Check the pace within a tick that has taken `PATIENCE` windows of steps.
 
     Args:
-        x: State of the integrated coordinates now.
+        x: Current state of the integrated coordinates.
+        u: Current inputs.
         step: Mean step in this tick [s].
         dt: Interval of the output [s].
-        end: Of the tick [s].
+        end: End of the tick [s].
 
     Raises:
-        DivergedError: Steps are far too short; names joint, time and likely cause.
+        DivergedError: Steps are far too short; the message names joint, time and likely cause.
     """
     if step < _SHORT * dt:
         raise DivergedError(f"stalled: {_described(system, x, u, step, end)}")

@@ -120,15 +120,15 @@ def _gain_parameters(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
     """Gains of laws, each once, with the laws that have it."""
     first = {gain.name: gain for gains in reversed(laws.values()) for gain in gains}
     order = dict.fromkeys(gain.name for gains in laws.values() for gain in gains)
-    found = []
+    parameters = []
     for name in order:
         users = [law for law, gains in laws.items() if name in {gain.name for gain in gains}]
         note = f" Of {', '.join(users)}." if len(laws) > 1 else ""
         each = EACH if first[name].per_joint else ""
-        found.append(
+        parameters.append(
             argument_parameter(first[name], f"gains.{name}", note=note + each, read_only=False)
         )
-    return found
+    return parameters
 
 
 def _gains_of_law(law: str) -> tuple[Argument, ...]:
@@ -137,35 +137,35 @@ def _gains_of_law(law: str) -> tuple[Argument, ...]:
     Raises:
         MbdError: It is no law; what one must offer.
     """
-    found = resolve("controllers", law, _WHERE)
+    law_class = resolve("controllers", law, _WHERE)
     where = f"{_WHERE}: type '{law}'"
-    if not issubclass(found, Controller) or found.effort is Controller.effort:
+    if not issubclass(law_class, Controller) or law_class.effort is Controller.effort:
         contract = f"{Controller.__module__}:Controller"
         raise ParameterError(f"{where} must inherit {contract} and override `effort`")
-    first = next(iter(inspect.signature(found).parameters.values()), None)
+    first = next(iter(inspect.signature(law_class).parameters.values()), None)
     if first is None or first.kind not in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
         raise ParameterError(f"{where} must take (joints, *, gains), joints as its first argument")
     try:
-        return arguments(found, skip=1)
+        return arguments(law_class, skip=1)
     except ModelError as error:
         raise ParameterError(f"{where}: {error}") from error
 
 
-def with_law(own: tuple[Parameter, ...], law: str) -> tuple[Parameter, ...]:
+def with_law(parameters: tuple[Parameter, ...], law: str) -> tuple[Parameter, ...]:
     """Parameters of a node for a law that may be of another package.
 
     Args:
-        own: Parameters for the laws of this package. A gain of the other law takes the place of
-            one that has the same name.
+        parameters: Parameters for the laws of this package. A gain of the other law replaces one
+            of the same name.
         law: Value of `controller`.
 
     Raises:
         MbdError: There is no such law, nobody permitted it, or it is none.
     """
     if law in PARTS["controllers"]:
-        return own
+        return parameters
     other = {gain.name: gain for gain in _gain_parameters({law: _gains_of_law(law)})}
-    return (*(p for p in own if p.name not in other), *other.values())
+    return (*(p for p in parameters if p.name not in other), *other.values())
 
 
 def build_controller(values: Any, joints: ControlledJoints) -> Controller:
@@ -176,11 +176,11 @@ def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     """
     law = resolve("controllers", values.controller, _WHERE)
     names = list(inspect.signature(law).parameters)[1:]
-    given = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}
+    gains = {name: _unwrapped(getattr(values, f"gains_{name}")) for name in names}
     try:
         for name in law.files:
-            given[name] = read_plan(given[name]) if given[name] else None
-        controller: Controller = law(joints, **given)
+            gains[name] = read_plan(gains[name]) if gains[name] else None
+        controller: Controller = law(joints, **gains)
     except (ModelError, DataError) as error:
         raise ParameterError(f"parameters gains of {values.controller}: {error}") from error
     return controller
@@ -196,16 +196,16 @@ def effort_limits(values: Any, joints: ControlledJoints, actuators: Sequence[Act
     Raises:
         ParameterError: Not one value a joint.
     """
-    given: tuple[float, ...] = values.effort_limit
+    chosen: tuple[float, ...] = values.effort_limit
     limits = np.array([joint.max_effort for joint in joints.joints])
     if actuators:
         limits = np.minimum(limits, np.concatenate([a.limits() for a in actuators]))
-    if given and len(given) != len(limits):
+    if chosen and len(chosen) != len(limits):
         raise ParameterError(
-            f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
+            f"parameter 'effort_limit' has {len(chosen)} values; accepted: none, or one for "
             f"each of {', '.join(joints.names)}"
         )
-    return np.minimum(limits, given) if given else limits
+    return np.minimum(limits, chosen) if chosen else limits
 
 
 def check_lengths(values: Any, joints: ControlledJoints) -> None:

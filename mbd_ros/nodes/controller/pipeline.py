@@ -141,7 +141,7 @@ class ControlPipeline:
                 none.
         """
         observer = self.observer
-        before = observer.memory
+        before = observer.checkpoint()
         seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
@@ -150,7 +150,7 @@ class ControlPipeline:
         try:
             x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
         except SolveError:
-            observer.memory = before
+            observer.restore(before)
             raise
         self.x = x
         off = seen.dependent - self._observed.dependent
@@ -234,7 +234,7 @@ class ControlPipeline:
         x = self._newest()
         return x.t, self._controlled.positions(x), self._controlled.velocities(x)
 
-    def held(self) -> list[str]:
+    def held_joints(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
         dependent = self.scene.couplings.dependent
         return [name for name in self.joints.missing if name not in dependent]
@@ -244,8 +244,8 @@ class ControlPipeline:
         dependent = self.scene.couplings.dependent
         pairs = zip(dependent, self._violation, strict=True)
         off = [f"{name} by {by:.4g}" for name, by in pairs if abs(by) > tolerance]
-        if self._observed.moved > tolerance:
-            off.append(f"loops by {self._observed.moved:.4g}")
+        if self._observed.correction > tolerance:
+            off.append(f"loops by {self._observed.correction:.4g}")
         return ", ".join(off)
 
     def details(self) -> Mapping[str, str]:
@@ -256,10 +256,10 @@ class ControlPipeline:
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
-            "joints held": ", ".join(self.held()) or "none",
+            "joints held": ", ".join(self.held_joints()) or "none",
             "solver tier": self._controlled.system.tier,
             "distance from couplings": f"{np.abs(self._violation).max(initial=0.0):.6g}",
-            "distance from loops": f"{self._observed.moved:.6g}",
+            "distance from loops": f"{self._observed.correction:.6g}",
             **loop_details(self.loop, self.x.t if self.x is not None else 0.0),
         }
 
@@ -318,14 +318,14 @@ class References:
         Raises:
             TargetError: It is refused.
         """
-        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
-        given, rest = selection.is_given, np.zeros(len(held))
+        selection, current = self._selection(trajectory.names, True), self._generator.at(now).q
+        is_named, rest = selection.is_given, np.zeros(len(current))
         parts = trajectory.velocity, trajectory.acceleration
         v, a = (
-            None if part is None else np.where(given, selection.rates(part), rest)
+            None if part is None else np.where(is_named, selection.rates(part), rest)
             for part in parts
         )
-        q = np.where(given, selection.positions(trajectory.position), held)
+        q = np.where(is_named, selection.positions(trajectory.position), current)
         trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
         return Plan(trajectory, begin, selection.note)
 
@@ -390,6 +390,6 @@ def _watched(watch: LoopWatch) -> dict[str, str]:
     return {
         "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
         "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
-        "error bounds": _listed(watch.promised) if is_known else "not known",
+        "error bounds": _listed(watch.error_bound) if is_known else "not known",
         "times the loop was lost": str(watch.faults),
     }

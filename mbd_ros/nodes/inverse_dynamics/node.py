@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.errors import SolveError
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.inverse_dynamics.pipeline import Part, Pipeline
@@ -44,7 +44,7 @@ PARAMETERS = (
         "stance_gap",
         float,
         "Largest gap of what is on the ground, as a multiple of the size [-].",
-        Nearness().gap,
+        StanceThresholds().gap,
         low=0.0,
         high=1.0,
     ),
@@ -52,7 +52,7 @@ PARAMETERS = (
         "stance_speed",
         float,
         "Largest speed of it along the normal, of the root of gravity times size [-].",
-        Nearness().speed,
+        StanceThresholds().speed,
         low=0.0,
         high=100.0,
     ),
@@ -109,20 +109,22 @@ class InverseDynamicsNode(Shell):
 
     def _listen(self) -> None:
         """Subscribe to joint states, and to what belongs to them on other topics."""
-        whole = self._pipeline.whole
-        if whole is None:
+        assembler = self._pipeline.assembler
+        if assembler is None:
             self._stream.listen(self.answer)
             return
-        for topic in whole.joint_topics:
+        for topic in assembler.joint_topics:
             take = self._on_part(topic, partial(self._read_joints, topic))
             self.subscribe(JointState, topic, take, SENSOR, single_publisher=True, raw=True)
-        if not whole.body_topics:
+        if not assembler.body_topics:
             return
         from nav_msgs.msg import Odometry  # only where something flies
 
         from msg_adapters.pose import read_odometry
 
-        for topic, base in zip(whole.body_topics, self._pipeline.scene.robot.bases, strict=True):
+        for topic, base in zip(
+            assembler.body_topics, self._pipeline.scene.robot.bases, strict=True
+        ):
             take = self._on_part(topic, partial(read_odometry, link=base.frame))
             self.subscribe(Odometry, topic, take, SENSOR, single_publisher=True)
 
@@ -151,12 +153,12 @@ class InverseDynamicsNode(Shell):
         """State of the stream, then contents of the numbers."""
         details = {**self._pipeline.details(), **self._stream.details()}
         level, text = self._stream.health()
-        whole = self._pipeline.whole
-        if level != OK and whole is not None and whole.unheard:
-            text = f"{text}; nothing heard on {', '.join(sorted(whole.unheard))}"
+        assembler = self._pipeline.assembler
+        if level != OK and assembler is not None and assembler.unheard:
+            text = f"{text}; nothing heard on {', '.join(sorted(assembler.unheard))}"
         if level == OK:
             level, text = self._pipeline.health(self.parameters.coupling_tolerance)
-        doubts = self._pipeline.scene.robot.doubts
+        doubts = self._pipeline.scene.robot.inertia_warnings
         if doubts:
             return max(level, WARN), f"{text}; inertias in doubt: {'; '.join(doubts)}", details
         return level, text, details
@@ -178,29 +180,29 @@ class InverseDynamicsNode(Shell):
 
     def _read_joints(self, topic: str, cdr: bytes) -> JointSample:
         require_size(cdr, JointState)
-        assert self._pipeline.whole is not None
-        return self._pipeline.whole.read(topic, cdr)
+        assert self._pipeline.assembler is not None
+        return self._pipeline.assembler.read(topic, cdr)
 
     def _on_part(self, topic: str, read: Callable[[Any], Part]) -> Callable[[Any], None]:
-        """What takes a part of samples that come on several topics."""
+        """Return the callback for a part of samples that come on several topics."""
 
         def take(message: Any) -> None:
             pipeline = self._pipeline
-            assert pipeline.whole is not None
+            assert pipeline.assembler is not None
             try:
                 part = read(message)
                 stamp = self._stream.stamp_of(part.stamp) if part.stamp else 0
                 if stamp is None:
                     return
-                sample, lost = pipeline.whole.add(topic, stamp, part)
+                sample, lost = pipeline.assembler.add(topic, stamp, part)
             except MessageError as error:
                 self._stream.drop("malformed", f"{topic}: {error}")
                 return
             for _ in range(lost):
                 self._stream.drop("no_partner", "messages of one stamp did not come on all topics")
             if sample is not None:
-                observed = partial(pipeline.observe_whole, sample)
-                self._stream.judge(lambda: self._answer(observed()), pipeline.whole)
+                observed = partial(pipeline.observe_assembled, sample)
+                self._stream.judge(lambda: self._answer(observed()), pipeline.assembler)
 
         return take
 

@@ -19,7 +19,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.parameters import tuning
@@ -63,10 +63,10 @@ class Pipeline:
         self.joints = JointStateReader(self.estimator.names, with_effort=False)
         self.reader = JointStateCdrReader(self.joints, joint_state)
         bodies = [base.name for base in robot.bases]
-        self.whole: WholeSamples | None = None
+        self.assembler: SampleAssembler | None = None
         if bodies or robot.members:
             names = self.estimator.names
-            self.whole = WholeSamples(names, robot.members, bodies, joint_state)
+            self.assembler = SampleAssembler(names, robot.members, bodies, joint_state)
         self._at = IndependentCoordinates(robot, couplings) if bodies else None
         self._residuals = [WrenchStamped() for _ in bodies]
         self._torques = JointStateCdrWriter(couplings.independent)
@@ -95,8 +95,8 @@ class Pipeline:
                 f"{self.scene.name}: stance {values.stance}: no rigid contact without a wrench; "
                 "accepted: none"
             )
-        near = Nearness(values.stance_gap, values.stance_speed)
-        return self.scene.inverse_dynamics(contacts=contacts, near=near)
+        thresholds = StanceThresholds(values.stance_gap, values.stance_speed)
+        return self.scene.inverse_dynamics(contacts=contacts, thresholds=thresholds)
 
     def take_phase(self, name: str) -> None:
         """Contacts of a phase are on the ground from now on.
@@ -108,16 +108,19 @@ class Pipeline:
         if name not in phases:
             known = ", ".join(phases) or "none"
             raise MessageError(f"phase '{name}' is none of the scene; it has {known}")
-        if isinstance(loops, ObservedLoops) and loops.inverse.standing is not None:
+        if isinstance(loops, ObservedLoops) and loops.inverse.stance is not None:
             plan = phases[name]
-            loops.told = loops.inverse.standing.of(plan.contacts) if plan.held else None
+            stance = loops.inverse.stance.select(plan.contacts) if plan.keeps_closed else None
+            loops.prescribed_stance = stance
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
         scene = self.scene
         from mbd_ros.methods.inverse_dynamics.power import ObservedPower  # only on request
 
-        self._power = ObservedPower(scene.robot, self._solver, scene.wrenches, scene.acting)
+        self._power = ObservedPower(
+            scene.robot, self._solver, scene.wrenches, scene.forces_without_input
+        )
         names = [output.name for output in self._power.outputs]
         self._power_writer = MultiArrayCdrWriter(len(names), names)
 
@@ -125,8 +128,8 @@ class Pipeline:
         """Forget the past."""
         self.estimator.reset()
         self.queue.clear()
-        if self.whole is not None:
-            self.whole.clear()
+        if self.assembler is not None:
+            self.assembler.clear()
 
     def answer(self, x: Observation, wrenches: Sequence[Any]) -> Answer | None:
         """Messages for an observation; None if the torques are not finite.
@@ -180,8 +183,9 @@ class Pipeline:
         ]
         if off:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
-        if self._solver.moved > tolerance:
-            return WARN, f"off the loops by {self._solver.moved:.4g}; the nearest state is used"
+        if self._solver.correction > tolerance:
+            correction = self._solver.correction
+            return WARN, f"off the loops by {correction:.4g}; the nearest state is used"
         doubts = self._solver.doubts()
         if doubts:
             return WARN, "; ".join(doubts)
@@ -192,13 +196,13 @@ class Pipeline:
         present = self.joints.present
         return self.estimator.observe(stamp, sample.position, sample.velocity, present)
 
-    def observe_whole(self, whole: WholeSample) -> Observation | SampleStatus:
+    def observe_assembled(self, sample: AssembledSample) -> Observation | SampleStatus:
         """A sample of several topics with its derivatives, or why it cannot be used."""
-        stamp, position, velocity, _ = whole.joints
-        bodies = whole.bodies if self._residuals else None
-        return self.estimator.observe(stamp, position, velocity, whole.present, bodies)
+        stamp, position, velocity, _ = sample.joints
+        bodies = sample.bodies if self._residuals else None
+        return self.estimator.observe(stamp, position, velocity, sample.present, bodies)
 
-    def held(self) -> list[str]:
+    def held_joints(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
         return [name for name in self._missing if name not in self._dependent]
 
@@ -206,20 +210,20 @@ class Pipeline:
         """Contents and origin of the numbers, for diagnostics."""
         robot, filters = self.scene.robot, self.estimator.differentiator
         reconstructed = [name for name in self._missing if name in self._dependent]
-        several = self.whole is not None
+        several = self.assembler is not None
         feet = self._feet
         contacts = "" if feet else ", ".join(self.scene.unmeasured_contacts)
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
-            "inertias in doubt": "; ".join(robot.doubts) or "none",
+            "inertias in doubt": "; ".join(robot.inertia_warnings) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
-            "joints held": ", ".join(self.held()) or "none",
+            "joints held": ", ".join(self.held_joints()) or "none",
             "derivatives": f"causal, delay {filters.delay:.4f} s, "
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": inverse_tier(self.scene),
-            **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
+            **({"off the loops": f"{self._solver.correction:.6g}"} if self._has_loops else {}),
             **({"contacts of unknown force": contacts} if contacts else {}),
             **({"on the ground": feet} if feet else {}),
             **({"topics not heard": self._unheard} if several else {}),
@@ -229,23 +233,23 @@ class Pipeline:
     def _feet(self) -> str:
         """Features on the ground in the newest sample; empty where nobody asks."""
         solver = self._solver
-        if not isinstance(solver, ObservedLoops) or solver.inverse.standing is None:
+        if not isinstance(solver, ObservedLoops) or solver.inverse.stance is None:
             return ""
-        standing = solver.inverse.standing
+        standing = solver.inverse.stance
         if solver.motion is None:
             return "none"
-        told = solver.told
-        stands = standing.at(solver.motion[0]) if told is None else told
+        prescribed = solver.prescribed_stance
+        stands = standing.detect(solver.motion[0]) if prescribed is None else prescribed
         on = zip(standing.features, stands, strict=True)
         return ", ".join(name for name, is_on in on if is_on) or "none"
 
     @property
     def _missing(self) -> tuple[str, ...]:
-        return self.joints.missing if self.whole is None else self.whole.missing
+        return self.joints.missing if self.assembler is None else self.assembler.missing
 
     @property
     def _unheard(self) -> str:
-        return ", ".join(sorted(self.whole.unheard)) or "none" if self.whole else ""
+        return ", ".join(sorted(self.assembler.unheard)) or "none" if self.assembler else ""
 
     @property
     def _dependent(self) -> tuple[str, ...]:
@@ -269,7 +273,7 @@ class Answer(NamedTuple):
     power: Any
 
 
-class WholeSamples:
+class SampleAssembler:
     """Puts samples together: joint states of each robot, and odometry of each free body.
 
     Parts of one stamp make a sample. A topic keeps its order, so when a sample is whole, parts
@@ -297,8 +301,8 @@ class WholeSamples:
     ) -> None:
         self._names = tuple(names)
         self._joints = {
-            joint_state_topic(member): _Joints(own, names, deserialize)
-            for member, own in by_member(names, members).items()
+            joint_state_topic(member): _Joints(joints, names, deserialize)
+            for member, joints in by_member(names, members).items()
         }
         self.joint_topics = tuple(self._joints)
         self.body_topics = tuple(odometry_topic(body) for body in bodies)
@@ -325,7 +329,7 @@ class WholeSamples:
         """Joints of the newest messages that were not asked for."""
         return tuple(name for part in self._joints.values() for name in part.reader.extra)
 
-    def add(self, topic: str, stamp: int, part: Part) -> tuple[WholeSample | None, int]:
+    def add(self, topic: str, stamp: int, part: Part) -> tuple[AssembledSample | None, int]:
         """Take a part.
 
         Args:
@@ -348,7 +352,7 @@ class WholeSamples:
         if len(parts) < len(self.joint_topics) + len(self.body_topics):
             return None, self._give_up(len(self._waiting) - MOST)
         lost = self._give_up(list(self._waiting).index(stamp))
-        return self._whole(stamp, self._waiting.pop(stamp)), lost
+        return self._assemble(stamp, self._waiting.pop(stamp)), lost
 
     def _give_up(self, count: int) -> int:
         """Forget the oldest ones."""
@@ -356,7 +360,7 @@ class WholeSamples:
             del self._waiting[stamp]
         return max(count, 0)
 
-    def _whole(self, stamp: int, parts: Mapping[str, tuple[Part, Any]]) -> WholeSample:
+    def _assemble(self, stamp: int, parts: Mapping[str, tuple[Part, Any]]) -> AssembledSample:
         n = len(self._names)
         position, velocity = np.full(n, np.nan), np.full(n, np.nan)
         present = np.zeros(n, dtype=np.bool_)
@@ -371,10 +375,10 @@ class WholeSamples:
         poses = np.array([body.pose for body in bodies]).reshape(-1, 7)
         twists = np.array([body.twist for body in bodies]).reshape(-1, 6)
         sample = JointSample(stamp, position, velocity, np.full(n, np.nan))
-        return WholeSample(sample, self.present, (poses, twists))
+        return AssembledSample(sample, self.present, (poses, twists))
 
 
-class WholeSample(NamedTuple):
+class AssembledSample(NamedTuple):
     """All parts of one stamp.
 
     Attributes:
@@ -392,12 +396,12 @@ class _Joints:
     """Joint states of one robot; `own` maps names on its topic to names in the scene."""
 
     def __init__(
-        self, own: Mapping[str, str], names: Sequence[str], deserialize: Callable[[bytes], Any]
+        self, joints: Mapping[str, str], names: Sequence[str], deserialize: Callable[[bytes], Any]
     ) -> None:
-        self.reader = JointStateReader(list(own), with_effort=False)
+        self.reader = JointStateReader(list(joints), with_effort=False)
         self.read = JointStateCdrReader(self.reader, deserialize).read
-        self.at = [names.index(name) for name in own.values()]
-        self.names = dict(own)
+        self.at = [names.index(name) for name in joints.values()]
+        self.names = dict(joints)
 
 
 class WrenchQueue:

@@ -105,7 +105,7 @@ class JointStateProjectorNode(Shell):
     def retune(self, values: Any) -> None:
         """New tuning; filters start again."""
         if tuning(values) != tuning(self.parameters):
-            self._pipeline.reconstructor.tune(tuning(values))
+            self._pipeline.reconstructor.set_tuning(tuning(values))
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then fit of the measurement to the mechanism."""

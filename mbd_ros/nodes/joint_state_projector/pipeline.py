@@ -79,23 +79,25 @@ class ProjectorPipeline:
         Raises:
             SolveError: There is no consistent state near the sample.
         """
-        found = self.reconstructor.observe(
+        observation = self.reconstructor.observe(
             stamp, sample.position, sample.velocity, self.joints.present
         )
-        if isinstance(found, SampleStatus):
-            return found
-        self._newest, excess = found, found.excess[self._limited]
-        self._off = np.concatenate([found.gap, excess])
-        self._worst = [_largest(part) for part in (found.gap, found.rate, excess)]
+        if isinstance(observation, SampleStatus):
+            return observation
+        self._newest, excess = observation, observation.excess[self._limited]
+        self._off = np.concatenate([observation.gap, excess])
+        self._worst = [_largest(part) for part in (observation.gap, observation.rate, excess)]
         forces = None
         if self._rows:
             forces = self._forces.write(
                 stamp,
                 position=self._off,
-                velocity=np.concatenate([found.rate, self._no_rates]),
-                effort=np.concatenate([found.multipliers, found.limit_multipliers[self._limited]]),
+                velocity=np.concatenate([observation.rate, self._no_rates]),
+                effort=np.concatenate(
+                    [observation.multipliers, observation.limit_multipliers[self._limited]]
+                ),
             )
-        states = self._states.write(stamp, position=found.x.q, velocity=found.x.v)
+        states = self._states.write(stamp, position=observation.x.q, velocity=observation.x.v)
         return ProjectorMessages(states, forces, self._violation.write(self._worst))
 
     def health(self, tolerance: float) -> tuple[int, str]:
@@ -114,22 +116,22 @@ class ProjectorPipeline:
             reasons.append("redundant rows or near a toggle position: multipliers are unreliable")
         return (WARN, "; ".join(reasons)) if reasons else (OK, "projected states published")
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that keep their last position: the newest joint state lacked them."""
-        return self.reconstructor.held
+        return self.reconstructor.held_joints
 
     def details(self) -> dict[str, str]:
         """Origin of the newest state, for diagnostics."""
         robot, newest = self.scene.robot, self._newest
-        held, missing = self.reconstructor.held, self.reconstructor.missing
+        held_names, missing = self.reconstructor.held_joints, self.reconstructor.missing
         solves, qp = self._projector.statistics
         position, velocity, excess = (f"{value:.6g}" for value in self._worst)
         return {
             "joints dropped": ", ".join(robot.locked) or "none",
-            "joints reconstructed": ", ".join(n for n in missing if n not in held) or "none",
-            "joints held": ", ".join(held) or "none",
+            "joints reconstructed": ", ".join(n for n in missing if n not in held_names) or "none",
+            "joints held": ", ".join(held_names) or "none",
             "limits": "kept" if len(self._limited) else "not kept",
-            "limits acting": ", ".join(self._acting()) or "none",
+            "limits acting": ", ".join(self._active_limits()) or "none",
             "largest position violation": position,
             "largest velocity violation": velocity,
             "largest excess beyond a limit": excess,
@@ -140,7 +142,7 @@ class ProjectorPipeline:
             "gravity": "not used",
         }
 
-    def _acting(self) -> list[str]:
+    def _active_limits(self) -> list[str]:
         if self._newest is None:
             return []
         pairs = zip(self.reconstructor.names, self._newest.limit_multipliers, strict=True)

@@ -126,12 +126,12 @@ class MarkerPipeline:
             return OK, "joint states published"
         return WARN, f"markers miss by {self._rms:.4g} m rms, most {self._worst()}"
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that nothing gives: none, all follow from a fit."""
         return ()
 
     def details(self) -> dict[str, str]:
-        """Of the newest frame, for diagnostics."""
+        """Return figures of the newest frame, for diagnostics."""
         newest = self._newest
         return {
             "markers": str(len(self.solver.labels)),

@@ -8,7 +8,7 @@ from typing import Any
 from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
+from mbd_ros.core.model.inertial_parameters import COUNT, PARAMETER_NAMES
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
@@ -35,7 +35,7 @@ PARAMETERS = (
     tunable("size", 0.2, 1e-4, 100.0, "Size of the payload that may be expected [m]."),
 )
 DEPTH = 10
-LABELS = tuple(f"{a}.{b}" for a in PLACES for b in PLACES)
+LABELS = tuple(f"{a}.{b}" for a in PARAMETER_NAMES for b in PARAMETER_NAMES)
 
 
 class PayloadEstimatorNode(Shell):
@@ -96,17 +96,17 @@ class PayloadEstimatorNode(Shell):
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Take one joint state."""
         try:
-            found = self._pipeline.answer(stamp, sample)
+            payload = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._stream.drop("unsolved", f"joint_states: {error}")
             return None
-        if isinstance(found, SampleStatus):
-            return found
-        if isinstance(found, Carried):
-            numbers = found.mass, found.centre, found.moments
+        if isinstance(payload, SampleStatus):
+            return payload
+        if isinstance(payload, Carried):
+            numbers = payload.mass, payload.centre, payload.moments
             self._payload.publish(
                 write_inertia(self._message, stamp, self._pipeline.frame, *numbers)
             )
-            self._covariance.publish(self._writer.write(found.covariance))
+            self._covariance.publish(self._writer.write(payload.covariance))
         self._stream.note_answer(stamp)
         return None

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.inertial_parameters import PLACES, inertia_of
+from mbd_ros.core.model.inertial_parameters import PARAMETER_NAMES, inertia_of
 from mbd_ros.errors import SceneError
-from mbd_ros.features.identification.payload.job import carrier_of
+from mbd_ros.features.identification.payload.job import find_carrier
 from mbd_ros.features.identification.payload.recursive import RecursivePayload
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver
@@ -38,7 +38,7 @@ class PayloadPipeline:
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
         _refuse(scene)
-        self.frame, _ = carrier_of(scene, values.frame or None)
+        self.frame, _ = find_carrier(scene, values.frame or None)
         self.joints = JointStateReader((*scene.couplings.independent, *scene.couplings.dependent))
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._n = len(scene.couplings.independent)
@@ -109,18 +109,18 @@ class PayloadPipeline:
             return WARN, f"the motion does not show {', '.join(hidden)}"
         return OK, "payload published"
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that nothing gives."""
         return ()
 
     def details(self) -> dict[str, str]:
         """The newest estimate, for diagnostics."""
-        found = self.estimate
-        sigma = np.sqrt(np.diag(found.covariance))
-        residual = ", ".join(f"{x:.3g}" for x in found.deviation)
+        payload = self.estimate
+        sigma = np.sqrt(np.diag(payload.covariance))
+        residual = ", ".join(f"{x:.3g}" for x in payload.deviation)
         return {
             "link": self.frame,
-            "mass": f"{found.numbers[0]:.6g} +- {sigma[0]:.2g} kg",
+            "mass": f"{payload.numbers[0]:.6g} +- {sigma[0]:.2g} kg",
             "not shown by the motion": ", ".join(self._hidden()) or "none",
             "residual of the joints": f"{residual} N·m or N",
             "joints without effort": ", ".join(self._lacking) or "none",
@@ -129,11 +129,15 @@ class PayloadPipeline:
         }
 
     def _hidden(self) -> list[str]:
-        return [name for name, there in zip(PLACES, self.estimate.shown, strict=True) if not there]
+        return [
+            name
+            for name, there in zip(PARAMETER_NAMES, self.estimate.is_determined, strict=True)
+            if not there
+        ]
 
 
 class Carried(NamedTuple):
-    """What the robot carries, in the axes of the link.
+    """The payload of the robot, in the axes of the link.
 
     Attributes:
         mass: [kg].

@@ -88,7 +88,7 @@ class SimulatedClock:
         return self._watch.silence(timeout)
 
     def fault(self, timeout: float) -> str:
-        """What is wrong with it, to follow other words; empty where nothing is."""
+        """Return what is wrong with the clock, as the end of a sentence; empty if nothing is."""
         if not self.is_used:
             return ""
         if self.is_gone:

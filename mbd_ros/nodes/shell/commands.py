@@ -10,7 +10,7 @@ from msg_adapters.commands import CommandReader
 
 
 def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
-    """What reads the commands of a scene; a joint stands for its only actuator.
+    """Return the reader of the commands of a scene; a joint stands for its only actuator.
 
     Args:
         order: Of the values in vectors, by input or joint; empty: actuators, then muscles.
@@ -23,8 +23,8 @@ def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
     for part in scene.commanded:
         if part.takes:
             takes |= dict.fromkeys(names[part.u], part.takes)
-    given = [joints.get(name, name) for name in order or names]
-    if sorted(given) != sorted(names):
+    columns = [joints.get(name, name) for name in order or names]
+    if sorted(columns) != sorted(names):
         label = {name: joint for joint, name in joints.items()}
         accepted = ", ".join(label.get(name, name) for name in names) or "none"
         raise ParameterError(
@@ -33,7 +33,7 @@ def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
         )
     units = {name: scene.inputs.channels[i].unit for i, name in enumerate(names)}
     positions = [name for name, unit in units.items() if unit in ("rad", "m")]
-    return CommandReader(given, names, joints, takes, positions)
+    return CommandReader(columns, names, joints, takes, positions)
 
 
 def _joints(scene: Scene) -> dict[str, str]:
@@ -58,15 +58,15 @@ def driven_joints(actuators: Sequence[Actuator]) -> tuple[str, ...]:
     return driven
 
 
-def command_order(given: Sequence[str], driven: Sequence[str]) -> tuple[str, ...]:
+def command_order(chosen: Sequence[str], driven: Sequence[str]) -> tuple[str, ...]:
     """Joints in the order of the values of a command: that of the parameter, or of the actuators.
 
     Raises:
         ParameterError: The parameter does not name all of them once.
     """
-    if given and sorted(given) != sorted(driven):
+    if chosen and sorted(chosen) != sorted(driven):
         raise ParameterError(
-            f"parameter 'joints' is {', '.join(given)}; accepted: all actuated joints, each "
+            f"parameter 'joints' is {', '.join(chosen)}; accepted: all actuated joints, each "
             f"once: {', '.join(driven) or 'none'}"
         )
-    return tuple(given or driven)
+    return tuple(chosen or driven)

@@ -87,11 +87,11 @@ def contact_details(live: LiveSimulation) -> dict[str, str]:
 
 
 def _residuals(live: LiveSimulation) -> dict[str, str]:
-    found = live.simulation.take_residuals()
-    if found is None:
+    residuals = live.simulation.take_residuals()
+    if residuals is None:
         return {}
     from mbd_ros.features.simulation.checks import UNITS  # only where a method has residuals
 
-    largest = sorted(found._asdict().items(), key=lambda item: -item[1])
+    largest = sorted(residuals._asdict().items(), key=lambda item: -item[1])
     texts = [f"{name} {value:.2g} {UNITS[name]}" for name, value in largest]
     return {"worst contact residual": texts[0], "contact residuals": ", ".join(texts)}

@@ -1,4 +1,4 @@
-"""What a node reports of itself: its status, topics that cannot work, messages that it ignores."""
+"""Diagnostics of a node: its status, topics that cannot work, messages that it ignores."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -65,13 +65,13 @@ def topic_problems(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
     """
     lines: list[str] = []
     for endpoint in endpoints:
-        own, topic = _announced(endpoint.entity.qos_profile), endpoint.entity.topic_name
+        announced, topic = _announced(endpoint.entity.qos_profile), endpoint.entity.topic_name
         if endpoint.incoming:
             peers = node.get_publishers_info_by_topic(topic)
-            pairs = [(peer.qos_profile, own) for peer in peers]
+            pairs = [(peer.qos_profile, announced) for peer in peers]
         else:
             peers = node.get_subscriptions_info_by_topic(topic)
-            pairs = [(own, peer.qos_profile) for peer in peers]
+            pairs = [(announced, peer.qos_profile) for peer in peers]
         for peer, pair in zip(peers, pairs, strict=True):
             verdict, reason = qos_check_compatible(*pair)
             if verdict == QoSCompatibility.ERROR:
@@ -82,17 +82,17 @@ def topic_problems(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
     return lines
 
 
-def _announced(own: QoSProfile) -> QoSProfile:
+def _announced(profile: QoSProfile) -> QoSProfile:
     """The profile as peers see it: a duration left out is 0 here and infinite in the graph."""
     return QoSProfile(
-        depth=own.depth,
-        reliability=own.reliability,
-        durability=own.durability,
-        liveliness=own.liveliness,
-        deadline=own.deadline if own.deadline.nanoseconds else Infinite,
+        depth=profile.depth,
+        reliability=profile.reliability,
+        durability=profile.durability,
+        liveliness=profile.liveliness,
+        deadline=profile.deadline if profile.deadline.nanoseconds else Infinite,
         liveliness_lease_duration=(
-            own.liveliness_lease_duration
-            if own.liveliness_lease_duration.nanoseconds
+            profile.liveliness_lease_duration
+            if profile.liveliness_lease_duration.nanoseconds
             else Infinite
         ),
     )
@@ -108,17 +108,17 @@ class Drops:
     def __init__(self, warn: Callable[[str], Any]) -> None:
         self.counts: dict[str, int] = {}
         self._warn = warn
-        self._said: dict[str, dict[str, float]] = {}
+        self._quiet_until: dict[str, dict[str, float]] = {}
 
     def add(self, reason: str, text: str) -> None:
         """Count one drop; `text` is logged unless the same was logged just before."""
         self.counts[reason] = count = self.counts.get(reason, 0) + 1
         now, kind = monotonic(), _NUMBER.sub("#", text)
-        said = self._said.setdefault(reason, {})
-        if now < said.get(kind, 0.0):
+        quiet = self._quiet_until.setdefault(reason, {})
+        if now < quiet.get(kind, 0.0):
             return
-        for old in [old for old, quiet_until in said.items() if quiet_until <= now]:
-            del said[old]
-        if len(said) < VARIETY:
-            said[kind] = now + QUIET
+        for old in [old for old, quiet_until in quiet.items() if quiet_until <= now]:
+            del quiet[old]
+        if len(quiet) < VARIETY:
+            quiet[kind] = now + QUIET
             self._warn(f"{text} (dropped for '{reason}': {count})")

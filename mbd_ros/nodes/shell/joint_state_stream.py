@@ -152,7 +152,7 @@ class JointStateStream:
         if refused is None:
             self._note_extra(joints.extra)
             return
-        held = ", ".join(self._pipeline().held())
+        held = ", ".join(self._pipeline().held_joints())
         lacking = f" ({held})" if refused is SampleStatus.INCOMPLETE else ""
         self.drop(refused.name.lower(), f"{self._topic}: {refused.value}{lacking}")
 
@@ -184,7 +184,7 @@ class JointStateStream:
         self._node.drop(reason, text)
 
     def details(self) -> dict[str, str]:
-        """Of the last second, for diagnostics."""
+        """Return rates of the last second, for diagnostics."""
         answered, self._answered = self._answered, 0
         dropped, self._dropped = self._dropped, 0
         is_much = dropped > _DROPPED * (dropped + answered)
@@ -265,7 +265,7 @@ class JointStateStream:
         self._heard_ros = self._now()
 
     def _age(self) -> float:
-        """Of the newest answered stamp [s]."""
+        """Age of the newest answered stamp [s]."""
         return (self._now() - self._newest) * NANOSECOND
 
     def _now(self) -> int:
@@ -274,7 +274,7 @@ class JointStateStream:
 
 
 class Heard(Protocol):
-    """What the newest messages carried."""
+    """Contents of the newest messages."""
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -293,6 +293,6 @@ class JointStatePipeline(Protocol):
     reader: JointStateCdrReader
     joints: JointStateReader
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that the newest joint state lacked, and that nothing else gives."""
         ...

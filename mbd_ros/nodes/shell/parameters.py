@@ -188,15 +188,15 @@ class Declared:
         wanted = {spec.name: spec for spec in parameters}
         if self._is_following or wanted == self._specs:
             return
-        kept = {n for n, spec in self._specs.items() if wanted.get(n) == spec}
-        values, given = self.values._asdict(), node._parameter_overrides
+        unchanged = {n for n, spec in self._specs.items() if wanted.get(n) == spec}
+        values, overrides = self.values._asdict(), node._parameter_overrides
         self._is_following = True
         try:
-            for name in self._specs.keys() - kept:
+            for name in self._specs.keys() - unchanged:
                 node.undeclare_parameter(name)
                 self.problems.pop(name, None)
-            for spec in (spec for name, spec in wanted.items() if name not in kept):
-                values[spec.key] = self._declare(node, spec, given)
+            for spec in (spec for name, spec in wanted.items() if name not in unchanged):
+                values[spec.key] = self._declare(node, spec, overrides)
         finally:
             self._is_following = False
         self._specs = wanted
@@ -208,11 +208,11 @@ class Declared:
         unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
         return [f"parameter {self._unknown(name)}" for name in unknown]
 
-    def _declare(self, node: Node, spec: Parameter, given: dict[str, ros.Parameter]) -> Any:
+    def _declare(self, node: Node, spec: Parameter, overrides: dict[str, ros.Parameter]) -> Any:
         value = None if spec.default is None else spec.read(spec.default)
         try:
-            if spec.name in given:
-                override = given[spec.name].value
+            if spec.name in overrides:
+                override = overrides[spec.name].value
                 value = spec.read([] if override is None else override)  # [] arrives without type
             elif value is None:
                 raise ParameterError(f"parameter '{spec.name}' must be given: {spec.accepted()}")

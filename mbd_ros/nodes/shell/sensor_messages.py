@@ -110,6 +110,6 @@ def _wrench(sensor: Wrench, topic: str, frame: str) -> SensorMessage:
     return SensorMessage(sensor, WrenchStamped, topic, read, write)
 
 
-def _refuse(given: str, expected: str) -> None:
-    if given not in ("", expected):
-        raise MessageError(f"frame '{given}', expected '{expected}'")
+def _refuse(frame: str, expected: str) -> None:
+    if frame not in ("", expected):
+        raise MessageError(f"frame '{frame}', expected '{expected}'")

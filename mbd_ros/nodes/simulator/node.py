@@ -135,7 +135,7 @@ class SimulatorNode(Shell):
         wrong = [pace.lag] if self._is_running and pace.is_lagging else []
         wrong += [self._plant.silence] if self._plant.silence else []
         wrong += self._plant.lost_wrenches
-        if self._waits and self._standing.waited > LATE and live.watch.held is not None:
+        if self._waits and self._standing.waited > LATE and live.watch.last is not None:
             wrong.append(f"no command for {self._standing.waited:.3g} s, the state is repeated")
         details["states repeated"] = str(self._standing.repeats)
         details["commands that answered a state again"] = str(self._standing.doubled)

@@ -80,13 +80,14 @@ class Plant:
         if not members and not self.bodies:
             members[""] = {}  # a scene where nothing moves says so
         self.members = {
-            member: [names.index(name) for name in own.values()] for member, own in members.items()
+            member: [names.index(name) for name in joint_names.values()]
+            for member, joint_names in members.items()
         }
         numbers = [output.name for output in self.live.showing.numbers]
         count = len(self.live.simulation.system.multiplier_rows)
         self.rows = [without_multiplier(name) for name in numbers[:count]]
         self.shown = numbers[count:]
-        self._states = [JointStateCdrWriter(list(own)) for own in members.values()]
+        self._states = [JointStateCdrWriter(list(joint_names)) for joint_names in members.values()]
         self._only = self._states[0] if len(self._states) == 1 else None
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
@@ -113,7 +114,7 @@ class Plant:
         watch = self.live.watch
         if not (self.has_actuators and watch.is_safe):
             return ""
-        since = "yet" if watch.held is None else f"for {watch.age:.3g} s"
+        since = "yet" if watch.last is None else f"for {watch.age:.3g} s"
         return f"no command {since}, instead: {self.scene.safe}"
 
     def hear(self, name: str, msg: Any) -> None:
@@ -132,7 +133,7 @@ class Plant:
 
     @property
     def heard(self) -> dict[str, CommandWatch]:
-        """What takes the external loads of the scene itself, by name."""
+        """Receivers of the external loads of the scene, by name."""
         return {n: one for n, one in self.wrenches.items() if n not in self.pushes.loads}
 
     @property
@@ -141,7 +142,7 @@ class Plant:
         return [
             f"no wrench '{name}' for {watch.age:.3g} s, instead: none"
             for name, watch in self.heard.items()
-            if watch.held is not None and watch.is_safe
+            if watch.last is not None and watch.is_safe
         ]
 
     def joint_states(self, stamp: int) -> list[bytes]:
@@ -188,7 +189,7 @@ class Plant:
         """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
         system, violation = live.simulation.system, live.violation()
-        unheard = [name for name, one in self.heard.items() if one.held is None]
+        unheard = [name for name, one in self.heard.items() if one.last is None]
         details = {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
@@ -199,8 +200,8 @@ class Plant:
             "drift of velocities": f"{violation.velocity:.3g}",
             "commands received": str(watch.received),
             "commands superseded before a tick": str(watch.superseded),
-            "age of the last command": "none" if watch.held is None else f"{watch.age:.6g}",
-            "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
+            "age of the last command": "none" if watch.last is None else f"{watch.age:.6g}",
+            "share of the safe command": "1" if watch.last is None else f"{watch.weight:.6g}",
             "safe command": str(self.scene.safe),
         }
         if live.phase:
@@ -240,7 +241,9 @@ class Pushes:
 
     def __init__(self, scene: Scene, links: Sequence[str]) -> None:
         self._model = scene.robot.model
-        self._frames = {link: _frame(scene.robot, link) for link in _asked(scene.robot, links)}
+        self._frames = {
+            link: _frame(scene.robot, link) for link in _pushed_links(scene.robot, links)
+        }
         carriers = {int(self._model.frames[at].parentJoint) for at in self._frames.values()}
         self._loads = {joint: f"{_PREFIX}{joint}" for joint in carriers}
         self._first = {
@@ -286,7 +289,7 @@ def _frame(robot: Robot, link: str) -> int:
     return at
 
 
-def _asked(robot: Robot, links: Sequence[str]) -> Sequence[str]:
+def _pushed_links(robot: Robot, links: Sequence[str]) -> Sequence[str]:
     if EVERY not in links:
         return links
     frames = robot.model.frames

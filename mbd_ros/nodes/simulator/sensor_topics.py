@@ -26,7 +26,7 @@ _SOONER = 0.5e-9  # s by which a message may be early: rounding
 
 
 class SensorTopics:
-    """What sensors tell, with noise and delays.
+    """Messages of sensors, with noise and delays.
 
     Encoders, and tachometers and effort sensors where every encoder has one, share
     `~/measured_joint_states`; IMUs, poses and wrenches have topics of their own, all others stand
@@ -59,24 +59,26 @@ class SensorTopics:
         )
         fields = {"position": encoders, "velocity": rates, "effort": efforts}
         self._joints = {
-            field: [told[name] for name in encoders]
-            for field, told in fields.items()
-            if encoders and encoders.keys() <= told.keys()
+            field: [by_joint[name] for name in encoders]
+            for field, by_joint in fields.items()
+            if encoders and encoders.keys() <= by_joint.keys()
         }
         robot = live.simulation.system.robot
-        self._own = [
-            (one, node.publish_to(one.type, one.topic, depth))
-            for one in sensor_messages(robot, sensors)
+        self._topics = [
+            (message, node.publish_to(message.type, message.topic, depth))
+            for message in sensor_messages(robot, sensors)
         ]
-        taken = {id(s) for told in self._joints.values() for s in told}
-        taken |= {id(one.sensor) for one, _ in self._own}
+        taken = {id(s) for by_joint in self._joints.values() for s in by_joint}
+        taken |= {id(message.sensor) for message, _ in self._topics}
         self._others = [s for s in sensors if id(s) not in taken]
         if self._joints:
             self._writer = JointStateCdrWriter(list(encoders), tuple(self._joints))
             self._states = node.publish_to(JointState, "~/measured_joint_states", depth)
         if self._others:
             names = [
-                ".".join(filter(None, (s.name, one))) for s in self._others for one in s.components
+                ".".join(filter(None, (s.name, message)))
+                for s in self._others
+                for message in s.components
             ]
             self._numbers = MultiArrayCdrWriter(len(names), names)
             self._array = node.publish_to(Float64MultiArray, "~/sensors", depth)
@@ -106,21 +108,21 @@ class SensorTopics:
         self._waiting = late
 
     def _messages(self, stamp: int, values: list[Array]) -> list[tuple[float, Callable[[], None]]]:
-        found: list[tuple[float, Callable[[], None]]] = []
+        messages: list[tuple[float, Callable[[], None]]] = []
         if self._joints:
             fields = {
-                field: np.concatenate([values[self._at[s.name]] for s in told])
-                for field, told in self._joints.items()
+                field: np.concatenate([values[self._at[s.name]] for s in group])
+                for field, group in self._joints.items()
             }
             message = self._writer.write(stamp, **fields)
-            delay = max(s.delay for told in self._joints.values() for s in told)
-            found.append((delay, partial(self._states.publish, message)))
-        for one, topic in self._own:
+            delay = max(s.delay for group in self._joints.values() for s in group)
+            messages.append((delay, partial(self._states.publish, message)))
+        for one, topic in self._topics:
             sensor = one.sensor
             written = one.write(stamp, values[self._at[sensor.name]])
-            found.append((sensor.delay, partial(topic.publish, written)))
+            messages.append((sensor.delay, partial(topic.publish, written)))
         if self._others:
-            told = np.concatenate([values[self._at[s.name]] for s in self._others]).tolist()
+            numbers = np.concatenate([values[self._at[s.name]] for s in self._others]).tolist()
             delay = max(s.delay for s in self._others)
-            found.append((delay, partial(self._array.publish, self._numbers.write(told))))
-        return found
+            messages.append((delay, partial(self._array.publish, self._numbers.write(numbers))))
+        return messages

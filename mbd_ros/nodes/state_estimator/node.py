@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.errors import DivergedError, SolveError
-from mbd_ros.features.estimation.tracker import Taken
+from mbd_ros.features.estimation.tracker import SampleOutcome
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.commands import command_reader
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
@@ -107,8 +107,8 @@ class StateEstimatorNode(Shell):
             self._stream.drop_unsolved(error)
             return None
         self._stream.failures = 0
-        if isinstance(answer, Taken):
-            return SampleStatus.OLD if answer is Taken.OLD else None
+        if isinstance(answer, SampleOutcome):
+            return SampleStatus.OLD if answer is SampleOutcome.OLD else None
         for one in answer:
             self.publish_answer(one)
         self._stream.note_answer(self._pipeline.newest)
@@ -136,14 +136,14 @@ class StateEstimatorNode(Shell):
         except MessageError as error:
             self.drop("command", f"joint_commands: {error}")
 
-    def _on_sensor(self, one: SensorMessage) -> Callable[[Any], None]:
-        name = one.sensor.name
+    def _on_sensor(self, sensor_message: SensorMessage) -> Callable[[Any], None]:
+        name = sensor_message.sensor.name
 
         def take(msg: Any) -> None:
             try:
-                sample = one.read(msg)
+                sample = sensor_message.read(msg)
             except MessageError as error:
-                self.drop("sensor", f"{one.topic}: {error}")
+                self.drop("sensor", f"{sensor_message.topic}: {error}")
                 return
             stamp = self._stream.stamp_of(sample.stamp)
             if stamp is not None:

@@ -115,7 +115,7 @@ PARAMETERS = (
 
 
 def task_of(values: Any) -> EstimateTask:
-    """What the parameters ask for.
+    """The estimation task that the parameters describe.
 
     Raises:
         ParameterError: A text of another form.
@@ -133,13 +133,13 @@ def task_of(values: Any) -> EstimateTask:
 
 
 def _deviations(texts: Sequence[str]) -> dict[str, float]:
-    found = dict[str, float]()
+    deviations = dict[str, float]()
     for text in texts:
         name, _, given = text.rpartition("=")
         try:
-            found[name.strip()] = deviation = float(given)
+            deviations[name.strip()] = deviation = float(given)
         except ValueError:
             deviation = math.nan
         if not name.strip() or not 0.0 < deviation < math.inf:
             raise ParameterError(f"parameters: '{text}', accepted: <name>=<deviation>, > 0")
-    return found
+    return deviations

@@ -14,10 +14,10 @@ import numpy as np
 from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, NONE, Array, Evaluation, State
-from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of
+from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, build_estimation
 from mbd_ros.features.estimation.faults import Consistency
-from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
-from mbd_ros.features.estimation.unknowns import inner
+from mbd_ros.features.estimation.tracker import LagWindow, SampleOutcome, Tracker
+from mbd_ros.features.estimation.unknowns import scene_sensor
 from mbd_ros.methods.estimation.process import Belief
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.sensor_messages import sensor_messages
@@ -58,7 +58,9 @@ class EstimateMessages(NamedTuple):
     innovations: bytes
 
 
-Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
+Answer = (
+    list[EstimateMessages] | SampleOutcome
+)  # estimates that are due, or what became of the sample
 _MOST_LAG = 1.0  # s of work by which answers may lag behind before late samples are left out
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
@@ -89,15 +91,15 @@ class EstimatorPipeline:
         names = [joint.name for joint in scene.robot.joints]
         measured = list(values.measured) or names
         refuse_unknown(measured, names)
-        self.estimation = found = estimation_of(
+        self.estimation = setup = build_estimation(
             scene, task_of(values), measured, measured if values.velocities else ()
         )
         self.joints = JointStateReader(names)
         self.reader = JointStateCdrReader(self.joints, joint_state)
-        sensors = found.process.sensors
+        sensors = setup.process.sensors
         pairs = list(zip(sensors.sensors, sensors.slices, strict=True))
         at = {name: i for i, name in enumerate(names)}
-        own = [(inner(s), mine) for s, mine in pairs]
+        own = [(scene_sensor(s), mine) for s, mine in pairs]
         self._of_joints = [
             [(at[s.frame], mine.start) for s, mine in own if isinstance(s, kind)]
             for kind in (Encoder, Tachometer, Effort)
@@ -106,14 +108,14 @@ class EstimatorPipeline:
         self.messages = sensor_messages(scene.robot, scene.sensors)
         ages = round(values.wrench_max_age / NANOSECOND), round(_REWIND / NANOSECOND)
         self.wrenches = {name: WrenchBuffer(*ages) for name in scene.wrenches}
-        self._inputs = found.scene.inputs.safe
-        slots = found.scene.inputs.slots
+        self._inputs = setup.scene.inputs.safe
+        slots = setup.scene.inputs.slots
         self._efforts = slots.get(EFFORTS)
         self._loads = [(slots[name], buffer) for name, buffer in self.wrenches.items()]
         self._driven = np.ones(len(names), dtype=np.bool_)
         self._driven[[row for row, _ in self._of_joints[-1]]] = False
         self._v = [joint.v for joint in scene.robot.joints]
-        self._writer = EstimateWriter(found, with_covariance=values.covariance)
+        self._writer = EstimateWriter(setup, with_covariance=values.covariance)
         self.forget()
 
     def forget(self) -> None:
@@ -180,7 +182,7 @@ class EstimatorPipeline:
             DivergedError: The prediction is no longer finite.
         """
         if self.tracker is None:
-            return Taken.OLD
+            return SampleOutcome.OLD
         values = np.full(self.estimation.process.sensors.m, np.nan)
         values[self._slices[name]] = measured
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
@@ -190,25 +192,25 @@ class EstimatorPipeline:
         self._lag = max(0.0, self._lag - (perf_counter() - self._ended))
         is_hurried = self._lag > _MOST_LAG
         if is_hurried and self.tracker is None:
-            return Taken.OLD
+            return SampleOutcome.OLD
         advance = 0.0
         try:
             if self.tracker is None:
                 self._begin(stamp, values, velocity)
             assert self.tracker is not None
             t = (stamp - self._origin) * NANOSECOND
-            advance, asked = max(t - self.tracker.belief.t, 0.0), perf_counter()
+            advance, begin = max(t - self.tracker.belief.t, 0.0), perf_counter()
             estimator = self.tracker.estimator
             estimator.is_late = self._debt > self._values.deadline
             self._late += estimator.is_late
             self._newest_u = u
             self.tracker.is_hurried = is_hurried
-            taken = self.tracker.take(t, values, u)
-            self._debt = max(0.0, self._debt + perf_counter() - asked - advance)
+            taken = self.tracker.add_sample(t, values, u)
+            self._debt = max(0.0, self._debt + perf_counter() - begin - advance)
         finally:
             self._ended, spent = perf_counter(), thread_time() - began
             self._lag = max(0.0, self._lag + spent - min(advance, self._values.max_age))
-        if taken is not Taken.USED:
+        if taken is not SampleOutcome.USED:
             return taken
         self.newest, consistency = stamp, self.tracker.watch.consistency()
         if self.tracker.window is None:
@@ -219,21 +221,21 @@ class EstimatorPipeline:
         return [self._writer.write(one.belief, consistency, at, one.u) for one, at in pairs]
 
     def _begin(self, stamp: int, values: Array, velocity: Array) -> None:
-        found, kept = self.estimation, self._values
+        setup, parameters = self.estimation, self._values
         self._origin = stamp
-        start = found.scene.initial
+        start = setup.scene.initial
         first = start._replace(t=0.0, v=start.v.copy())
         told = np.flatnonzero(np.isfinite(velocity))
         first.v[[self._v[i] for i in told]] = velocity[told]
-        y = found.process.near(found.process.consistent(first), values, found.prior)
-        found.estimator.begin(y, found.prior, 0.0)
-        options = {name: getattr(kept, name) for name in TRACKER}
-        longest = max(kept.max_age, kept.patience)
-        self.tracker = Tracker(found.estimator, found.process.sensors, longest=longest, **options)
+        y = setup.process.fit_state(setup.process.consistent(first), values, setup.prior)
+        setup.estimator.begin(y, setup.prior, 0.0)
+        options = {name: getattr(parameters, name) for name in TRACKER}
+        longest = max(parameters.max_age, parameters.patience)
+        self.tracker = Tracker(setup.estimator, setup.process.sensors, longest=longest, **options)
         if self._smoothing_lag:
-            self.tracker.window = LagWindow(found.process, self._smoothing_lag)
+            self.tracker.window = LagWindow(setup.process, self._smoothing_lag)
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that nothing gives: none, all are estimated."""
         return ()
 
@@ -241,7 +243,7 @@ class EstimatorPipeline:
         """WARN where sensors are faulty, innovations are wrong, or there is no time."""
         if self.tracker is None:
             return OK, "nothing measured yet"
-        belief, faults = self.tracker.belief, self.tracker.faults.found()
+        belief, faults = self.tracker.belief, self.tracker.faults.active_faults()
         reasons = [f"{name}: {what}" for name, what in faults.items()]
         if given_up := self._given_up():
             reasons.append(f"beyond limits, which do not count: {given_up}")
@@ -261,13 +263,13 @@ class EstimatorPipeline:
         return ", ".join(found.bounded_names[i] for i in estimator.given_up)
 
     def details(self) -> dict[str, str]:
-        """Of the newest estimate, for diagnostics."""
-        found = self.estimation
+        """Return figures of the newest estimate, for diagnostics."""
+        setup = self.estimation
         shown = {
             "estimator": self._values.estimator,
-            "measured": ", ".join(found.process.sensors.names),
-            "unknown efforts": ", ".join(found.disturbed) or "none",
-            "unknown numbers": ", ".join(found.deviations) or "none",
+            "measured": ", ".join(setup.process.sensors.names),
+            "unknown efforts": ", ".join(setup.disturbed) or "none",
+            "unknown numbers": ", ".join(setup.deviations) or "none",
             "inputs": self._values.inputs,
             "answers without the horizon": str(self._late),
         }
@@ -280,18 +282,18 @@ class EstimatorPipeline:
             "mean square of innovations": f"{consistency.nis:.4g}, {low:.4g} .. {high:.4g} for a "
             "right model",
             "correlation of innovations": f"{consistency.correlation:.4g}",
-            "sensor faults": ", ".join(self.tracker.faults.found()) or "none",
+            "sensor faults": ", ".join(self.tracker.faults.active_faults()) or "none",
             "began anew": str(self.tracker.restarts),
         }
 
 
-def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
+def refuse_unknown(chosen: Sequence[str], names: Sequence[str]) -> None:
     """Refuse joints that there are not.
 
     Raises:
         ParameterError: Names them and what there is.
     """
-    unknown = [name for name in given if name not in names]
+    unknown = [name for name in chosen if name not in names]
     if unknown:
         raise ParameterError(f"unknown joints {', '.join(unknown)}; accepted: {', '.join(names)}")
 
@@ -327,7 +329,7 @@ class EstimateWriter:
         self._x: State = estimation.process.start
         self._u: Array | None = NONE
         self._now: Evaluation | None = None
-        self._whole: Array | None = None
+        self._complete_rows: Array | None = None
 
     @property
     def now(self) -> Evaluation:
@@ -380,15 +382,15 @@ class EstimateWriter:
 
     def _rows(self, y: State) -> Array:
         """From steps of the tangent to positions, velocities and internal states."""
-        if self._whole is not None:
-            return self._whole
+        if self._complete_rows is not None:
+            return self._complete_rows
         tangent, nz = self._estimation.process.tangent, len(y.z)
-        lift, nv = tangent.of_all_joints(y), self._system.robot.model.nv
+        lift, nv = tangent.lift_to_joints(y), self._system.robot.model.nv
         rows = np.zeros((2 * len(self._v) + nz, tangent.n))
         rows[: len(rows) - nz] = lift[[*self._v, *(nv + v for v in self._v)]]
         rows[len(rows) - nz :, tangent.n - nz :] = np.eye(nz)
-        if tangent.is_whole:
-            self._whole = rows
+        if tangent.is_unconstrained:
+            self._complete_rows = rows
         return rows
 
     def _judged(self, belief: Belief, consistency: Consistency) -> bytes:

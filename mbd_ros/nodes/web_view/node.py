@@ -262,9 +262,9 @@ class WebViewNode(Shell):
         while (wish := self._page.take_wish()) is not None:
             self._robots[wish.robot].simulator.do(wish)
 
-    def _let_go(self, held: int | None) -> None:
+    def _let_go(self, kept_client: int | None) -> None:
         for number, robot in enumerate(self._robots):
-            if number != held:
+            if number != kept_client:
                 robot.leading.let_go()
 
     def _look(self) -> None:
@@ -367,7 +367,7 @@ def _check_spaces(spaces: Sequence[str]) -> None:
 
 
 def _state(robot: _Robot) -> str:
-    """What is wrong with the stream of a robot; empty where nothing is."""
+    """Return what is wrong with the stream of a robot; empty if nothing is."""
     age = robot.topics.age
     if age <= _SILENT:
         return ""

@@ -115,7 +115,7 @@ class RobotTopics:
         self._heard = -math.inf
 
     def sample(self) -> LiveSample | None:
-        """What is known now; None if no message came since it was asked last."""
+        """Return the newest state; None if no message came since the last call."""
         moved = [self._take_joints(topic) for topic in self._joints]
         moved += [self._take_pose(base, topic) for base, topic in self._bodies()]
         others = [self._take_forces(), self._take_torques(), self._take_markers()]
@@ -227,7 +227,7 @@ class Newest:
         self._cdr, self.count = cdr, self.count + 1
 
     def read(self, read: Callable[[bytes], Any]) -> Any:
-        """What a function reads of the newest bytes; None where they are bad, or none are new."""
+        """Return what a function reads in the newest bytes; None if they are bad or not new."""
         cdr, self._cdr = self._cdr, b""
         if not cdr:
             return None
@@ -262,9 +262,9 @@ class _Joints:
         return sample
 
 
-def places(names: Sequence[str], own: Mapping[str, str]) -> list[int]:
+def places(names: Sequence[str], renamed: Mapping[str, str]) -> list[int]:
     """Where the joints of one topic stand among all."""
-    return [names.index(name) for name in own.values()]
+    return [names.index(name) for name in renamed.values()]
 
 
 class MeasuredLoads:
@@ -295,7 +295,7 @@ class MeasuredLoads:
             topic = topic_of(name).replace("~/", f"{simulator}/", 1)
             self._loads[name] = _Load(newest(WrenchStamped, topic), None)
         self.names = tuple(self._loads)
-        self._held: dict[str, tuple[float, Point, Array]] = {}
+        self._latest: dict[str, tuple[float, Point, Array]] = {}
 
     def at(self, k: Kinematics, contacts_are_drawn: bool) -> Array:
         """Where loads act, and their forces, shape (n, 2, 3); NaN where they are unknown.
@@ -307,12 +307,12 @@ class MeasuredLoads:
             k: Kinematics at positions.
             contacts_are_drawn: Whether arrows of contacts come from elsewhere: no places then.
         """
-        now, found = perf_counter(), np.full((len(self._loads), 2, 3), np.nan)
-        for row, (name, load) in zip(found, self._loads.items(), strict=True):
+        now, arrows = perf_counter(), np.full((len(self._loads), 2, 3), np.nan)
+        for row, (name, load) in zip(arrows, self._loads.items(), strict=True):
             fresh = load.newest.message(lambda msg, load=load: self._read(msg, load))
             if fresh is not None:
-                self._held[name] = (now, *fresh)
-            since, about, wrench = self._held.get(name, (-np.inf, None, None))
+                self._latest[name] = (now, *fresh)
+            since, about, wrench = self._latest.get(name, (-np.inf, None, None))
             if about is None or wrench is None or now - since > _LASTS:
                 continue
             axes, force, torque = k.rotation(about), wrench[:3], wrench[3:]
@@ -321,7 +321,7 @@ class MeasuredLoads:
             row[1] = axes @ force
             if load.about is not None or not contacts_are_drawn:
                 row[0] = k.position(about) + axes @ beside
-        return found
+        return arrows
 
     def _read(self, msg: Any, load: _Load) -> tuple[Point, Array]:
         sample: WrenchSample = read_wrench(msg)
@@ -413,7 +413,7 @@ class Leading:
 
     def lead(self, q: Array) -> None:
         """Send a configuration, shape (nq,), as reference, once its listener is known."""
-        topic = self._found()
+        topic = self._command_topic()
         if topic is None:
             return
         if self._reference is None or self._reference.topic_name != topic:
@@ -449,14 +449,14 @@ class Leading:
         except MessageError as error:
             self._tell(f"pull: {error}")
 
-    def _found(self) -> str | None:
+    def _command_topic(self) -> str | None:
         """The topic of references: that of the parameter, or the only one there is."""
         named = self._values.controller
         if named:
             return str(self._node.resolve_topic_name(self._within(named + _REFERENCE)))
         space = self._node.resolve_topic_name(self._within("x"))[:-1]
         kinds = self._node.get_topic_names_and_types()
-        found = [
+        topics = [
             name
             for name, types in kinds
             if "sensor_msgs/msg/JointState" in types
@@ -465,10 +465,10 @@ class Leading:
             and name.endswith(_REFERENCE)
             and self._node.get_subscriptions_info_by_topic(name)
         ]
-        if len(found) == 1:
-            return found[0]
-        several = f"several hear references, choose by parameter controller: {', '.join(found)}"
-        self._tell(f"target: {several if found else 'no controller hears references'}")
+        if len(topics) == 1:
+            return topics[0]
+        several = f"several hear references, choose by parameter controller: {', '.join(topics)}"
+        self._tell(f"target: {several if topics else 'no controller hears references'}")
         return None
 
 

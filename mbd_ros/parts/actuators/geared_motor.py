@@ -1,4 +1,4 @@
-"""Motor with a gear."""
+"""Motor with a lossy gear."""
 
 import math
 from typing import Annotated
@@ -19,21 +19,22 @@ class GearedMotor(Actuator):
 
         s = sign(ratio u) tanh(v / smoothing)
 
-    Driving (s = 1) the joint gets the share `efficiency` of the motor power; driven back (s = -1)
-    the motor gets that share of the joint power, so that the joint feels ratio u / efficiency.
-    At rest tau = ratio u. Continuous, and never a source of power. The rotor adds
-    ratio^2 rotor_inertia to the joint.
+    While the motor drives (s = 1), the joint receives the fraction `efficiency` of the power of
+    the motor. While the joint drives (s = -1), the motor receives that fraction of the joint's
+    power, so that the joint feels ratio u / efficiency. At rest tau = ratio u. The torque is
+    continuous, and the gear never generates power. The rotor adds ratio^2 rotor_inertia to the
+    joint.
 
-    Left out: loss of the torque that accelerates the rotor, stiction (a loaded gear creeps back
-    at rest), backlash, elasticity, the electric side, gyroscopic effects of the rotor.
+    The model leaves out losses of the torque that accelerates the rotor, stiction (a loaded gear
+    creeps back at rest), backlash, elasticity, the electric side and gyroscopic effects.
 
     Args:
         joint: Driven joint; its command is the torque of the motor [N·m].
-        ratio: Motor angle per joint position; negative where the joint turns against the motor.
-        rotor_inertia: About the motor axis.
-        efficiency: Share of the power that passes the gear.
-        viscous: Friction on the motor side.
-        limit: Largest torque of the motor; without it there is none.
+        ratio: Motor angle per joint position; negative if the joint turns against the motor.
+        rotor_inertia: Inertia of the rotor about the motor axis.
+        efficiency: Fraction of the power that the gear transmits.
+        viscous: Viscous friction coefficient on the motor side.
+        limit: Largest torque of the motor; unlimited by default.
         smoothing: Joint velocity at which s reaches 0.76.
     """
 
@@ -64,16 +65,16 @@ class GearedMotor(Actuator):
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,), of the motor torque [N·m], shape (1,)."""
+        """Return the generalized force, shape (nv,)."""
         tau, rate = k.zeros(self._nv), k.item(x.v, self.joint.v)
-        wanted = k.minimum(k.item(u, self.u.start or 0), self._limit)
-        lossless = self._ratio * k.maximum(wanted, -self._limit)
+        motor_torque = k.minimum(k.item(u, self.u.start or 0), self._limit)
+        lossless = self._ratio * k.maximum(motor_torque, -self._limit)
         direction = k.copysign(k.tanh(rate / self._smoothing), lossless * rate)
         tau[self.joint.v] = lossless * self._efficiency**direction - self._viscous * rate
         return tau
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """The ratio, shape (nv, 1); None with losses, which depend on the side that drives."""
+        """Return the ratio, shape (nv, 1); None for a lossy gear, which is not affine in u."""
         if self._efficiency != 1.0:
             return None
         columns = np.zeros((self._nv, 1))
@@ -81,23 +82,23 @@ class GearedMotor(Actuator):
         return columns
 
     def command(self, torque: Array, x: State) -> Array:
-        """Motor torque of the lossless gear [N·m], shape (1,)."""
+        """Return the motor torque of a lossless gear [N·m], shape (1,)."""
         return torque / self._ratio
 
     def demanded(self, torque: Array, x: State) -> Array:
-        """Motor torque behind which the gear and its friction leave the torque [N·m]."""
+        """Return the motor torque that exerts the torque in spite of losses [N·m], shape (1,)."""
         rate = float(x.v[self.joint.v])
-        behind = torque + self._viscous * rate
-        driving = np.sign(behind) * math.tanh(rate / self._smoothing)
-        demanded: Array = behind / (self._ratio * self._efficiency**driving)
-        return demanded
+        frictionless = torque + self._viscous * rate
+        direction = np.sign(frictionless) * math.tanh(rate / self._smoothing)
+        motor_torque: Array = frictionless / (self._ratio * self._efficiency**direction)
+        return motor_torque
 
     def limits(self) -> Array:
-        """Torque of the joint that the motor drives through a lossless gear [N·m], shape (1,)."""
+        """Return the largest joint torque through a lossless gear [N·m or N], shape (1,)."""
         return np.array([abs(self._ratio) * self._limit])
 
     def armature(self) -> Array:
-        """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
-        inertia = [0.0] * self._nv  # a list, which holds symbols, too
+        """Return the inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
+        inertia = [0.0] * self._nv  # a list, since it can also contain symbols
         inertia[self.joint.v] = self._inertia
         return np.array(inertia)

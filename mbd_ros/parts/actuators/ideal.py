@@ -1,4 +1,4 @@
-"""Motors that give the torque they are asked for."""
+"""Ideal motors, whose torque is their command."""
 
 import math
 from collections.abc import Sequence
@@ -15,12 +15,14 @@ from mbd_ros.errors import ModelError
 
 
 class Ideal(Actuator):
-    """tau = u, at most `limit` in either direction. No inertia, friction or delay.
+    """Ideal drives: tau = u, at most `limit` in either direction.
+
+    Inertia, friction and delay are left out.
 
     Args:
-        joints: Driven joints, one command [N·m or N] each, in this order.
-        limit: Largest torque or force of every joint; without it there is none. The effort
-            limits of the URDF are not read.
+        joints: Driven joints; every joint has one command [N·m or N], in this order.
+        limit: Largest torque or force of every joint; unlimited by default. Effort limits of the
+            robot description are ignored.
 
     Raises:
         ModelError: No joint, or an unknown or repeated one.
@@ -50,7 +52,7 @@ class Ideal(Actuator):
         )
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""
+        """Return the generalized force, shape (nv,)."""
         tau, u = k.zeros(self._nv), u[self.u]
         if self._limit < math.inf:
             u = k.within(u, -self._limit, self._limit)
@@ -58,13 +60,13 @@ class Ideal(Actuator):
         return tau
 
     def constant_slopes(self, nv: int, nz: int) -> Array:
-        """Nothing, shape (nv, 2 nv + nz): only commands move it."""
+        """Return zeros, shape (nv, 2 nv + nz): the force depends on the commands only."""
         return np.zeros((nv, 2 * nv + nz))
 
     def columns(self, k: Kinematics, x: State) -> Array:
-        """Ones, shape (nv, len(joints)), not to be written to."""
+        """Return the selection matrix of the joints, shape (nv, len(joints)); do not modify it."""
         return self._columns
 
     def limits(self) -> Array:
-        """`limit` of every joint [N·m or N], shape (len(joints),)."""
+        """Return `limit` of every joint [N·m or N], shape (len(joints),)."""
         return np.full(len(self.joints), self._limit)

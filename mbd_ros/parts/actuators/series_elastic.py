@@ -1,4 +1,4 @@
-"""Motor with a spring between gear and joint."""
+"""Series elastic actuator whose motor follows a position command ideally."""
 
 import math
 from typing import Annotated
@@ -15,15 +15,16 @@ from mbd_ros.core.state import Array, State
 class SeriesElastic(Actuator):
     """Spring to a commanded position: tau = stiffness (u - q) - damping v, at most `limit`.
 
-    The motor side follows its command at once and with any force; its inertia, speed and torque
-    limits are left out, and so is the velocity of the command in the damping.
+    The motor follows its position command instantly. Its inertia, its limits of speed and torque,
+    and the velocity of the command in the damping are left out. `series_elastic_drive` models the
+    motion of the motor.
 
     Args:
-        joint: Driven joint; its command is the motor-side end of the spring, as a position of
-            the joint [rad or m].
-        stiffness: Of the spring.
-        damping: Of the joint.
-        limit: Largest torque or force of the joint, damping included; without it there is none.
+        joint: Driven joint; its command is the position of the motor side of the spring, expressed
+            as a joint position [rad or m].
+        stiffness: Stiffness of the spring.
+        damping: Damping of the joint.
+        limit: Largest torque or force of the joint, damping included; unlimited by default.
     """
 
     takes = "position of the motor side of the spring [rad or m]"
@@ -47,15 +48,15 @@ class SeriesElastic(Actuator):
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,), of the commanded position [rad or m], shape (1,)."""
+        """Return the generalized force, shape (nv,)."""
         tau = k.zeros(self._nv)
         stretch = k.item(u, self.u.start or 0) - k.item(x.q, self.joint.q)
-        wanted = self._stiffness * stretch - self._damping * k.item(x.v, self.joint.v)
-        tau[self.joint.v] = k.maximum(k.minimum(wanted, self._limit), -self._limit)
+        torque = self._stiffness * stretch - self._damping * k.item(x.v, self.joint.v)
+        tau[self.joint.v] = k.maximum(k.minimum(torque, self._limit), -self._limit)
         return tau
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """The stiffness, shape (nv, 1); None with a limit, which depends on the position."""
+        """Return the stiffness, shape (nv, 1); None with a limit, which depends on q and v."""
         if self._limit < math.inf:
             return None
         columns = np.zeros((self._nv, 1))
@@ -63,10 +64,10 @@ class SeriesElastic(Actuator):
         return columns
 
     def command(self, torque: Array, x: State) -> Array:
-        """Motor-side end of the spring that gives the torque, shape (1,)."""
-        wanted = torque + self._damping * x.v[self.joint.v]
-        return x.q[self.joint.q] + wanted / self._stiffness
+        """Return the position of the motor side that exerts the torque [rad or m], shape (1,)."""
+        spring_torque = torque + self._damping * x.v[self.joint.v]
+        return x.q[self.joint.q] + spring_torque / self._stiffness
 
     def limits(self) -> Array:
-        """`limit` of the joint [N·m or N], shape (1,)."""
+        """Return `limit` [N·m or N], shape (1,)."""
         return np.array([self._limit])

@@ -1,4 +1,4 @@
-"""Motor, gear and spring, with the motion of the motor as internal states."""
+"""Series elastic actuator with the motion of its motor as internal states."""
 
 import math
 from typing import Annotated
@@ -15,27 +15,28 @@ _RATIO = Within(1.0e-9, 1.0e9, of_size=True)
 
 
 class SeriesElasticDrive(Actuator):
-    """Motor behind a gear and a spring that the joint pulls at.
+    """Motor and gear that drive a joint through a spring.
 
         tau = stiffness (theta / ratio - q) + damping (omega / ratio - v)
         theta' = omega,   rotor_inertia omega' = u - viscous omega - tau / ratio
 
-    Motor torque u is cut at `limit`; the motor does not turn faster than `speed`. `energy` counts
-    the rotor and the spring. Left out: gyroscopic effects of the rotor, which turns fast and is
-    light (Spong's assumption), losses of the gear, backlash, the electric side.
+    theta and omega are angle and speed of the motor. The motor torque u saturates at `limit`, and
+    the speed at `speed`. The stored energy is that of rotor and spring. The model leaves out
+    gyroscopic effects of the rotor (Spong's assumption of a light and fast rotor), losses of the
+    gear, backlash and the electric side.
 
     Source: M. W. Spong, J. Dyn. Sys. Meas. Control 109, 1987, 310-319, doi:10.1115/1.3143860; G.
     A. Pratt, M. M. Williamson, IROS 1995, doi:10.1109/IROS.1995.525827.
 
     Args:
         joint: Driven joint; its command is the torque of the motor [N·m].
-        stiffness: Of the spring, between gear and joint.
-        rotor_inertia: About the motor axis.
-        ratio: Motor angle per joint position; negative where the joint turns against the motor.
-        damping: Of the spring.
-        viscous: Friction of the motor.
-        limit: Largest torque of the motor; without it there is none.
-        speed: Largest speed of the motor; without it there is none.
+        stiffness: Stiffness of the spring between gear and joint.
+        rotor_inertia: Inertia of the rotor about the motor axis.
+        ratio: Motor angle per joint position; negative if the joint turns against the motor.
+        damping: Damping of the spring.
+        viscous: Viscous friction coefficient of the motor.
+        limit: Largest torque of the motor; unlimited by default.
+        speed: Largest speed of the motor; unlimited by default.
     """
 
     takes = "torque of the motor [N·m]"
@@ -58,8 +59,10 @@ class SeriesElasticDrive(Actuator):
         self.joint = robot.joint(joint)
         self.joints = (joint,)
         self.inputs = (Channel("", "N·m", -limit, limit),)
-        turning = Internal("speed", "rad/s", -speed, speed, 0.0)
-        self.internal = (Internal("angle", "rad"), turning)
+        self.internal = (
+            Internal("angle", "rad"),
+            Internal("speed", "rad/s", -speed, speed, 0.0),
+        )
         unit = "N" if self.joint.kind == "prismatic" else "N·m"
         self.outputs = (self.outputs[0]._replace(unit=unit), *self.outputs[1:])
         self._stiffness = stiffness
@@ -72,57 +75,57 @@ class SeriesElasticDrive(Actuator):
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force of the spring, shape (nv,)."""
+        """Return the generalized force of the spring, shape (nv,)."""
         tau = k.zeros(self._nv)
-        stretch, rate, _ = self._stretched(k, x)
+        stretch, rate, _ = self._deflection(k, x)
         tau[self.joint.v] = self._stiffness * stretch + self._damping * rate
         return tau
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Speed and acceleration of the motor [rad/s, rad/s^2], shape (2,)."""
-        stretch, rate, speed = self._stretched(k, x)
+        """Return speed and acceleration of the motor [rad/s, rad/s^2], shape (2,)."""
+        stretch, rate, speed = self._deflection(k, x)
         spring = self._stiffness * stretch + self._damping * rate
-        driving = self._driving(k, u) - self._viscous * speed - spring / self._ratio
-        return k.array([speed, driving / self._inertia])
+        torque = self._motor_torque(k, u) - self._viscous * speed - spring / self._ratio
+        return k.array([speed, torque / self._inertia])
 
     def columns(self, k: Kinematics, x: State) -> Array | None:
-        """Zeros, shape (nv, 1): a motor torque reaches the joint through the spring alone."""
+        """Return zeros, shape (nv, 1): the motor torque reaches the joint only by the spring."""
         return np.zeros((self._nv, 1))
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the spring and of the rotor [J]."""
-        stretch, _, speed = self._stretched(k, x)
+        """Return the energy of the spring and of the rotor [J]."""
+        stretch, _, speed = self._deflection(k, x)
         return 0.5 * (self._stiffness * stretch * stretch + self._inertia * speed * speed)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> tuple[float, ...]:
-        """Torque of the joint, power of the motor, and what both dampers take.
+        """Return joint torque, motor power, and power lost in both dampers.
 
-        At its largest speed the motor gives no more than what keeps it there.
+        At its largest speed, the motor exerts no more torque than keeps the speed constant.
         """
-        stretch, rate, speed = self._stretched(k, x)
+        stretch, rate, speed = self._deflection(k, x)
         torque = self._stiffness * stretch + self._damping * rate
         loss = self._damping * rate * rate + self._viscous * speed * speed
-        power = self._driving(k, u) * speed
+        power = self._motor_torque(k, u) * speed
         if abs(speed) >= self._speed:
             power = min(power, (self._viscous * speed + torque / self._ratio) * speed)
         return torque, power, loss
 
     def command(self, torque: Array, x: State) -> Array:
-        """Motor torque that a torque of the joint takes in the long run [N·m], shape (1,)."""
+        """Return the motor torque that balances the joint torque at rest [N·m], shape (1,)."""
         return torque / self._ratio
 
     def limits(self) -> Array:
-        """Torque of the joint that the motor holds [N·m or N], shape (1,)."""
+        """Return the joint torque at the torque limit of the motor [N·m or N], shape (1,)."""
         return np.array([abs(self._ratio) * self._limit])
 
-    def _stretched(self, k: Kinematics, x: State) -> tuple[float, float, float]:
-        """Stretch of the spring and its rate, on the side of the joint, and the motor speed."""
+    def _deflection(self, k: Kinematics, x: State) -> tuple[float, float, float]:
+        """Return stretch of the spring and its rate, in joint coordinates, and the motor speed."""
         first = self.z.start or 0
         angle, speed = k.item(x.z, first), k.item(x.z, first + 1)
         stretch = angle / self._ratio - k.item(x.q, self.joint.q)
         return stretch, speed / self._ratio - k.item(x.v, self.joint.v), speed
 
-    def _driving(self, k: Kinematics, u: Array) -> float:
-        """Torque of the motor within its limit [N·m]."""
-        wanted = k.item(u, self.u.start or 0)
-        return -k.maximum(-k.maximum(wanted, -self._limit), -self._limit)
+    def _motor_torque(self, k: Kinematics, u: Array) -> float:
+        """Return the torque of the motor, saturated at its limit [N·m]."""
+        command = k.item(u, self.u.start or 0)
+        return -k.maximum(-k.maximum(command, -self._limit), -self._limit)

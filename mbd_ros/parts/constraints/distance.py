@@ -17,18 +17,18 @@ _ANY_DIRECTION = np.array((1.0, 0.0, 0.0))
 
 
 class Distance(Constraint):
-    """Massless bar with ball joints: g = |p_b - p_a| - distance.
+    """Massless bar with ball joints at its ends: g = |p_b - p_a| - distance.
 
-    A positive multiplier is a force that pushes the points apart, a negative one the tension of
-    the bar. While the points coincide the bar points along x of the world, so that everything
-    stays finite; that is no configuration of the bar.
+    A positive multiplier pushes the points apart, a negative one is the tension of the bar. If
+    the points coincide, which no valid configuration does, the direction of the bar is taken as x
+    of the world, so that all values stay finite.
 
     Args:
-        frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
+        frame_a: Link (or frame) of one end; the root link or `universe` for a fixed point.
         frame_b: Link (or frame) of the other end.
         distance: Length of the bar.
-        point_a: End in `frame_a`, shape (3,).
-        point_b: End in `frame_b`, shape (3,).
+        point_a: End a in `frame_a`, shape (3,).
+        point_b: End b in `frame_b`, shape (3,).
 
     Raises:
         ModelError: Unknown frame, or both ends on one body.
@@ -49,53 +49,53 @@ class Distance(Constraint):
     ) -> None:
         self._a = robot.point(frame_a, point_a)
         self._b = robot.point(frame_b, point_b)
-        self._moves = np.abs(robot.pair(self._a, self._b).columns)
+        self._dependence = np.abs(robot.pair(self._a, self._b).columns)
         self._distance = distance
         self._shortest = _COINCIDENT * distance
         self.rows = (Row("force", "N"),)
         self.outputs = (exerted_on(self._a, self._a), exerted_on(self._b, self._b))
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """How much too long the bar is, g [m], shape (1,)."""
+        """Return g, the excess of the distance over the length of the bar [m], shape (1,)."""
         line = k.position(self._b) - k.position(self._a)
         return k.array((k.hypot(line) - self._distance,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Rate of the distance with every joint, shape (1, nv)."""
+        """Return the derivative of the distance with respect to q, shape (1, nv)."""
         return self._jacobian(k, self._direction(k)[0])
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """Second rate of the distance at zero joint acceleration, shape (1,).
+        """Return the second time derivative of the distance at zero joint acceleration, (1,).
 
         n . (p_b'' - p_a'') + (|v|^2 - (n . v)^2) / |p_b - p_a| with v = p_b' - p_a'.
         """
         return self._drift(k, *self._direction(k))
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for one direction."""
+        """Return `jacobian` and `drift` with a shared direction."""
         n, length = self._direction(k)
         return self._jacobian(k, n), self._drift(k, n, length)
 
     def _jacobian(self, k: Kinematics, n: Array) -> Array:
         jacobian: Array = k.dot(n, k.jacobian(self._b))
         if self._a.moves:
-            # Zero, not a small difference, where both ends are carried.
-            jacobian = (jacobian - k.dot(n, k.jacobian(self._a))) * self._moves
+            # Joints that move both ends get exact zeros instead of small differences.
+            jacobian = (jacobian - k.dot(n, k.jacobian(self._a))) * self._dependence
         return k.row(jacobian)
 
     def _drift(self, k: Kinematics, n: Array, length: float) -> Array:
-        bent = k.dot(n, k.acceleration(self._b) - k.acceleration(self._a))
+        along = k.dot(n, k.acceleration(self._b) - k.acceleration(self._a))
         v = k.velocity(self._b) - k.velocity(self._a)
         across = v - n * k.dot(n, v)
-        turn = k.dot(across, across) / k.maximum(length, self._shortest)
-        return k.array((bent + k.where(length > self._shortest, turn, 0.0),))
+        centripetal = k.dot(across, across) / k.maximum(length, self._shortest)
+        return k.array((along + k.where(length > self._shortest, centripetal, 0.0),))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """The forces at the ends of the bar."""
+        """Return the forces at the ends of the bar."""
         return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """Forces at the ends of the bar."""
+        """Return the forces at the ends of the bar."""
         force, free = self._direction(k)[0] * lam[0], np.zeros(3)
         return (
             Wrench(self._a.frame, k.position(self._a), -force, free),
@@ -103,7 +103,7 @@ class Distance(Constraint):
         )
 
     def _direction(self, k: Kinematics) -> tuple[Array, float]:
-        """Unit vector from end a to end b, and how far they are apart [m]."""
+        """Return the unit vector from end a to end b, and their distance [m]."""
         line = k.position(self._b) - k.position(self._a)
         length = k.hypot(line)
         along = line / k.maximum(length, self._shortest)

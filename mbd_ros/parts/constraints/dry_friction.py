@@ -1,4 +1,4 @@
-"""Dry friction with exact stiction."""
+"""Coulomb friction in a joint with exact stiction."""
 
 from typing import Annotated
 
@@ -12,22 +12,21 @@ from mbd_ros.core.state import Array, State
 
 
 class DryFriction(Constraint):
-    """Coulomb friction of a joint, exact at rest: g' = v, |multiplier| <= limit.
+    """Coulomb friction of a joint, without creep at rest: g' = v, |multiplier| <= limit.
 
-    The joint sticks while a torque within the limit can hold it, without creep. Otherwise it
-    slips against the full limit. Static and kinetic friction are the same; it does not depend on
-    the load of the joint.
+    The joint sticks as long as a friction torque within the limit can hold it; otherwise it slips
+    against the full limit. Static and kinetic friction are equal, and independent of the load.
 
     Args:
         joint: Joint with friction.
-        limit: Largest friction.
-        smoothed: Whether it is solved for in every evaluation, which costs the order of the
-            method; that is so with a time constant, too.
-        time_constant: Of a slow joint that comes to rest by smoothed friction, 0.002 s by default;
-            a step stays stable with one that is longer than the step.
+        limit: Largest friction torque or force.
+        smoothed: Whether friction is solved for in every evaluation instead of switching at
+            events, which lowers the order of the integrator; `time_constant` implies it.
+        time_constant: Time constant with which smoothed friction stops a slow joint, 0.002 s by
+            default; it must be longer than the time step for the step to be stable.
     """
 
-    level = Level.VELOCITY  # any position will do
+    level = Level.VELOCITY  # it constrains no position
     example = {"joint": "ankle", "limit": 0.8}
 
     def __init__(
@@ -51,9 +50,9 @@ class DryFriction(Constraint):
         self._jacobian[0, self.joint.v] = 1.0
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """1 at the joint, shape (1, nv)."""
+        """Return the row with 1 at the joint, shape (1, nv)."""
         return self._jacobian
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """Zero, shape (1,)."""
+        """Return zero, shape (1,)."""
         return self._zero

@@ -1,4 +1,4 @@
-"""A link held at a place in the world."""
+"""A link that is fixed to the world."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -11,23 +11,24 @@ from mbd_ros.errors import ModelError
 
 
 class FrameAnchor(PairRows):
-    """Holds a frame at a place in the world, in world axes.
+    """Anchor that fixes a frame to the world; its rows are expressed in the axes of the world.
 
-        g = p - position, then 2 sin(theta / 2) along the axis of the rotation that is left
+        g = p - position, then 2 sin(theta / 2) along the axis of the remaining rotation theta
 
-    Multipliers are force and torque on the link at the anchored point. The rotational rows are
-    exact up to 180 degrees and do not vanish there.
+    The multipliers are the force and torque on the link at the anchored point. The rotational
+    rows are exact up to 180 degrees and do not vanish there.
 
     Args:
-        frame: Link (or frame) that is held.
-        position: Where its point is held, in the world, shape (3,).
-        point: The point in `frame`, shape (3,).
-        rpy: Axes of the held frame in `frame`, roll, pitch, yaw, shape (3,).
-        orientation: How these axes are held in the world, roll, pitch, yaw, shape (3,).
-        kind: `full`: six rows; `point`: free to turn, three rows, without `orientation`.
+        frame: Link (or frame) that is anchored.
+        position: Position of the anchored point in the world, shape (3,).
+        point: Anchored point in `frame`, shape (3,).
+        rpy: Anchored axes in `frame` as roll, pitch, yaw, shape (3,).
+        orientation: Orientation of these axes in the world as roll, pitch, yaw, shape (3,).
+        kind: `full` fixes position and orientation (six rows); `point` fixes the point only
+            (three rows) and takes no `orientation`.
 
     Raises:
-        ModelError: Unknown frame, or one that does not move.
+        ModelError: Unknown frame, or a frame that cannot move.
     """
 
     example = {
@@ -48,16 +49,18 @@ class FrameAnchor(PairRows):
         orientation: Annotated[Vector | None, Unit("rad")] = None,
         kind: Literal["full", "point"] = "full",
     ) -> None:
-        place, held = robot.point("universe", position), robot.point(frame, point, rpy)
+        anchor, anchored = robot.point("universe", position), robot.point(frame, point, rpy)
         if orientation is not None:
-            wanted = rotation_matrix(orientation)
-            held = robot.turned(held, wanted.T)  # has the axes of the world
+            R = rotation_matrix(orientation)
+            anchored = robot.rotated(anchored, R.T)  # these axes coincide with those of the world
         super().__init__(
-            robot.pair(place, held), "xyz", FullRotation() if kind == "full" else None
+            robot.pair(anchor, anchored), "xyz", FullRotation() if kind == "full" else None
         )
 
     @staticmethod
     def check(orientation: Sequence[float] | None, kind: str) -> None:
-        """Refuse an orientation of a frame that is free to turn, and none of one that is not."""
+        """Refuse kind `full` without an orientation, and kind `point` with one."""
         if (orientation is None) == (kind == "full"):
-            raise ModelError("orientation goes with kind full, which cannot do without it")
+            raise ModelError(
+                f"orientation must be {'given' if kind == 'full' else 'left out'} for kind {kind}"
+            )

@@ -1,4 +1,4 @@
-"""A point that never moves along one direction: a blade, a skate, a wheel that does not slip."""
+"""A point without velocity along one direction: a blade, a skate, a wheel that does not slip."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -17,22 +17,23 @@ _LINEAR = slice(0, 3)
 
 
 class KnifeEdge(Constraint):
-    """g' = n . v = 0, v that of a point past the body under it, n fixed in the link of the point.
+    """Nonholonomic constraint n . v = 0 on the velocity of a point of a link over the ground.
 
-    No g exists: the point gets everywhere, by turning. So positions are never corrected for it,
-    velocities are. Nothing keeps the point on the ground; a `point_on_plane` beside it does. A
-    positive multiplier pushes the point along n and the ground the other way.
+    The direction n is fixed in the link of the point. The constraint has no position level, since
+    the point reaches any position by turning; so only velocities are corrected. It does not keep
+    the point on the ground; a `point_on_plane` does. A positive multiplier pushes the point along
+    n and the ground in the opposite direction.
 
     Source: J. Neimark, N. Fufaev, Dynamics of Nonholonomic Systems, 1972, ch. 2.
 
     Args:
-        frame: Link (or frame) that carries the edge.
-        direction: n, across the edge, in `frame`, of any length, shape (3,).
-        point: The point of the edge in `frame`, shape (3,).
-        ground_frame: Link (or frame) that it runs on.
+        frame: Link (or frame) of the edge.
+        direction: Direction n across the edge in `frame`, of any length, shape (3,).
+        point: Point of the edge in `frame`, shape (3,).
+        ground_frame: Link (or frame) that the edge moves on; the world by default.
 
     Raises:
-        ModelError: Unknown frame, or frames that do not move against each other.
+        ModelError: Unknown frame, or two frames without relative motion.
     """
 
     reads = Reads.DRIFT
@@ -58,38 +59,38 @@ class KnifeEdge(Constraint):
 
     @staticmethod
     def check(direction: Sequence[float]) -> None:
-        """Refuse a direction that points nowhere."""
+        """Refuse a direction of zero length."""
         if not any(direction):
-            raise ModelError(f"direction {direction} must have a length")
+            raise ModelError(f"direction {direction} must not be zero")
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Velocity along n with every joint, shape (1, nv)."""
-        seen = k.motion(self._pair)
-        return self._normal(k).dot(seen.jacobian(seen.placed(), _LINEAR)).reshape(1, -1)
+        """Return the map from joint velocities to n . v, shape (1, nv)."""
+        motion = k.motion(self._pair)
+        return self._normal(k).dot(motion.jacobian(motion.placed(), _LINEAR)).reshape(1, -1)
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """Rate of n . v at zero joint acceleration, n . v' + (omega x n) . v, shape (1,)."""
+        """Return n . v' + (omega x n) . v at zero joint acceleration, shape (1,)."""
         return self.accelerations(k, x)[1]
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for the velocity of one."""
-        seen, n = k.motion(self._pair), self._normal(k)
-        linear, omega, _ = seen.motion(seen.place())
-        J = seen.jacobian(seen.placed(), _LINEAR)
+        """Return `jacobian` and `drift`, which share the relative motion."""
+        motion, n = k.motion(self._pair), self._normal(k)
+        linear, omega, _ = motion.motion(motion.place())
+        J = motion.jacobian(motion.placed(), _LINEAR)
         drift = n.dot(linear) + np.cross(omega, n).dot(J.dot(x.v))
         return n.dot(J).reshape(1, -1), k.array((drift,))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """The forces between the ground and the edge."""
+        """Return the forces on the ground and on the edge."""
         return [wrench.numbers for wrench in self.wrenches(k, x, now.lam)]
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """The forces at the point: on the ground, then on the edge."""
+        """Return the forces at the point: on the ground, then on the edge."""
         _, a, b, _ = self._pair
         force, at, free = k.rotation(b).dot(self._n) * lam[0], k.position(b), np.zeros(3)
         return Wrench(a.frame, at, -force, free), Wrench(b.frame, at, force, free)
 
     def _normal(self, k: Kinematics) -> Array:
-        """The direction n in the axes of the ground, shape (3,)."""
+        """Return n in the axes of the ground, shape (3,)."""
         normal: Array = k.motion(self._pair).rotation().dot(self._n)
         return normal

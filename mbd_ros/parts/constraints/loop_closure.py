@@ -1,4 +1,4 @@
-"""Closed chain: a frame on one body held to a frame on another."""
+"""Joint that closes a kinematic loop between two bodies."""
 
 from typing import Annotated, Literal
 
@@ -8,30 +8,30 @@ from mbd_ros.core.rows.frame_rows import AxisRotation, FullRotation, PairRows, R
 
 
 class LoopClosure(PairRows):
-    """Joint that closes a loop: frame b, seen in the axes of frame a, stays where a is.
+    """Loop-closing joint: frame b of one body coincides with frame a of another one.
 
-        g = R_a' (p_b - p_a), then 2 sin(theta / 2) along the axis of the rotation that is left
+        g = R_a' (p_b - p_a), then 2 sin(theta / 2) along the axis of the remaining rotation theta
 
-    The rotational rows are exact up to 180 degrees and do not vanish there, so that a mechanism is
-    not assembled upside down; at 180 degrees itself the way back is arbitrary. Multipliers are
-    force and torque on b in the axes of a, at the origin of b. With fewer `directions` the origins
-    may part along the others: `xy` for a planar loop, and with `revolute` about z for a
-    cylindrical joint.
+    The rotational rows are exact up to 180 degrees and do not vanish there, so a mechanism is
+    never assembled upside down; at exactly 180 degrees the direction of correction is arbitrary.
+    The multipliers are the force and torque on b, in the axes of a, at the origin of b. With fewer
+    `directions` the origins can move apart along the remaining axes: `xy` suits a planar loop, and
+    together with `revolute` about z it is a cylindrical joint.
 
     Args:
-        frame_a: Link (or frame) that carries frame a, whose axes the rows stand in.
-        frame_b: Link (or frame) that carries frame b.
+        frame_a: Link (or frame) that frame a is fixed to; rows are expressed in the axes of a.
+        frame_b: Link (or frame) that frame b is fixed to.
         point_a: Origin of a in `frame_a`, shape (3,).
-        rpy_a: Axes of a in `frame_a`, roll, pitch, yaw, shape (3,).
+        rpy_a: Axes of a in `frame_a` as roll, pitch, yaw, shape (3,).
         point_b: Origin of b in `frame_b`, shape (3,).
-        rpy_b: Axes of b in `frame_b`, roll, pitch, yaw, shape (3,).
-        kind: `point`: free to turn; `revolute`: turns about `axis`, which both frames share;
-            `full`: does not turn.
-        directions: Axes of a along which the origins must not part: x, y, z, xy, xz, yz or xyz.
-        axis: Axis of a `revolute` closure: x, y or z.
+        rpy_b: Axes of b in `frame_b` as roll, pitch, yaw, shape (3,).
+        kind: `point` leaves all rotations free, `revolute` the rotation about `axis`, and `full`
+            none.
+        directions: Axes of a along which the origins coincide: x, y, z, xy, xz, yz or xyz.
+        axis: Common axis of both frames of a `revolute` closure: x, y or z.
 
     Raises:
-        ModelError: Unknown frame, or frames that do not move against each other.
+        ModelError: Unknown frame, or two frames without relative motion.
     """
 
     example = {"frame_a": "world", "point_a": [0.1, 0.0, 0.0], "frame_b": "foot", "kind": "full"}

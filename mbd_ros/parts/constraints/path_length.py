@@ -1,4 +1,4 @@
-"""A path that keeps its length."""
+"""Path of constant length."""
 
 from typing import Annotated
 
@@ -9,14 +9,14 @@ from mbd_ros.core.rows.path_rows import PathRow
 
 
 class PathLength(PathRow):
-    """Inextensible tendon that is always taut: l = length, without friction and mass.
+    """Inextensible tendon that never becomes slack: l = length, without friction and mass.
 
-    Over several joints it couples them; over points it is a bar that bends. A negative tension
-    pushes: this is no rope.
+    A path over several joints couples these joints. The tension may be negative, so the tendon can
+    push; a `rope` cannot.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        length: Of the path.
+        path: Route of the tendon: the name of a path of the scene, or the entry of a path.
+        length: Length of the path.
     """
 
     example = {"path": {"joints": {"knee": 0.04, "ankle": -0.03}}, "length": 0.01}

@@ -9,20 +9,20 @@ from mbd_ros.core.rows.frame_rows import PairRows, check_normal, plane_of
 
 
 class PointOnPlane(PairRows):
-    """Frictionless guide: g = n . (p - p0), a point of one link in a plane of another.
+    """Frictionless guide that keeps a point of one link in a plane of another: g = n . (p - p0).
 
     The plane moves with its link. A positive multiplier pushes the point along the normal and the
-    plane the other way. It holds from both sides.
+    plane in the opposite direction. The constraint is bilateral: the point cannot lift off.
 
     Args:
-        frame: Link (or frame) that carries the point.
-        plane_frame: Link (or frame) that carries the plane.
+        frame: Link (or frame) of the point.
+        plane_frame: Link (or frame) of the plane.
         normal: Normal of the plane in `plane_frame`, of any length, shape (3,).
-        point: The point in `frame`, shape (3,).
+        point: Guided point in `frame`, shape (3,).
         plane_point: Any point of the plane in `plane_frame`, shape (3,).
 
     Raises:
-        ModelError: Unknown frame, or frames that do not move against each other.
+        ModelError: Unknown frame, or two frames without relative motion.
     """
 
     example = {"frame": "heel", "plane_frame": "world", "normal": [0.1, 0.0, 1.0]}

@@ -1,4 +1,4 @@
-"""A joint that follows a function of time."""
+"""Joint whose position is a given function of time."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,23 +19,23 @@ _HARMONIC = ("amplitude", "angular_frequency", "offset", "phase")
 
 
 class PrescribedMotion(Constraint):
-    """Rheonomic row: g = q - f(t), by exactly one of three functions.
+    """Rheonomic constraint g = q - f(t), where f is exactly one of three kinds of functions.
 
-    The multiplier is the effort of the ideal drive of this motion. With a finite `limit` the drive
-    gives way where the limit is too small, and later returns to its motion by
-    g'' + 2 g' / T + g / T^2 = 0.
+    The multiplier is the effort of an ideal drive. With a finite `limit` the drive lags behind
+    where its effort does not suffice, and returns to the motion by g'' + 2 g' / T + g / T^2 = 0.
 
     Args:
         joint: Driven joint.
-        polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ...
-        harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
-            angular_frequency [rad/s], and if not 0 offset [rad or m] and phase [rad].
-        spline: Times x [s] and positions y [rad or m] of a natural cubic spline, which straight
-            lines continue.
-        limit: Largest effort of the drive; without it there is none.
-        smoothed: Whether a drive with a limit is solved for in every evaluation, which costs the
-            order of the method; that is so with a time constant, too.
-        time_constant: T of a drive with a finite limit, 0.02 s by default.
+        polynomial: Coefficients c0, c1, ... of f = c0 + c1 t + c2 t^2 + ...
+        harmonic: Amplitude [rad or m], angular_frequency [rad/s] and optionally offset [rad or m]
+            and phase [rad] of f = offset + amplitude sin(angular_frequency t + phase).
+        spline: Times x [s] and positions y [rad or m] of a natural cubic spline, which is
+            extrapolated by straight lines.
+        limit: Largest effort of the drive; unlimited by default.
+        smoothed: Whether a drive with a limit is solved for in every evaluation instead of
+            switching at events, which lowers the order of the integrator; `time_constant` implies
+            it.
+        time_constant: Time constant T of a drive with a finite limit, 0.02 s by default.
     """
 
     example = {
@@ -74,12 +74,12 @@ class PrescribedMotion(Constraint):
         harmonic: Mapping[str, float] | None,
         spline: Mapping[str, Sequence[float]] | None,
     ) -> None:
-        """Refuse more than one function or none, and other keys than those of the function."""
+        """Refuse more or less than one function, and unknown or missing keys of a function."""
         functions = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
-        given = [key for key, function in functions.items() if function is not None]
-        if len(given) != 1:
+        kinds = [key for key, function in functions.items() if function is not None]
+        if len(kinds) != 1:
             raise ModelError(
-                f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
+                f"give exactly one of {', '.join(functions)}; got {', '.join(kinds) or 'none'}"
             )
         if spline is not None and set(spline) != {"x", "y"}:
             raise ModelError(f"spline has {', '.join(spline) or 'nothing'}, accepted: x and y")
@@ -88,22 +88,22 @@ class PrescribedMotion(Constraint):
                 raise ModelError(f"harmonic has '{key}', accepted: {', '.join(_HARMONIC)}")
         for key in _HARMONIC[:2] if harmonic is not None else ():
             if key not in harmonic:
-                raise ModelError(f"harmonic lacks {key}")
+                raise ModelError(f"harmonic: {key} is missing")
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """How far the joint is off its motion, q - f(t) [rad or m], shape (1,)."""
+        """Return q - f(t) [rad or m], shape (1,)."""
         return k.array((k.item(x.q, self.joint.q) - self._motion(k, x.t)[0],))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """1 at the joint, shape (1, nv)."""
+        """Return the row with 1 at the joint, shape (1, nv)."""
         return self._jacobian
 
     def rate(self, k: Kinematics, x: State) -> Array:
-        """-f', shape (1,)."""
+        """Return -f', shape (1,)."""
         return k.array((-self._motion(k, x.t)[1],))
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """-f'', shape (1,)."""
+        """Return -f'', shape (1,)."""
         return k.array((-self._motion(k, x.t)[2],))
 
 
@@ -115,18 +115,18 @@ def _motion(
     if harmonic is not None:
         return _harmonic(harmonic)
     if spline is not None:
-        return _of_time(natural_cubic_spline(spline["x"], spline["y"]))
+        return _motion_of(natural_cubic_spline(spline["x"], spline["y"]))
     assert polynomial is not None
-    return _of_time(Polynomial(polynomial))
+    return _motion_of(Polynomial(polynomial))
 
 
-def _of_time(function: Callable[[float], tuple[float, float, float]]) -> Motion:
+def _motion_of(function: Callable[[float], tuple[float, float, float]]) -> Motion:
     return lambda k, t: function(t if is_symbol(t) else float(t))
 
 
-def _harmonic(given: Mapping[str, float]) -> Motion:
-    amplitude, frequency = given["amplitude"], given["angular_frequency"]
-    offset, phase = given.get("offset", 0.0), given.get("phase", 0.0)
+def _harmonic(entry: Mapping[str, float]) -> Motion:
+    amplitude, frequency = entry["amplitude"], entry["angular_frequency"]
+    offset, phase = entry.get("offset", 0.0), entry.get("phase", 0.0)
 
     def motion(k: Kinematics, t: float) -> tuple[float, float, float]:
         angle = frequency * t + phase

@@ -1,4 +1,4 @@
-"""A path that gets no longer than its rope."""
+"""Inextensible rope along a path."""
 
 from typing import Annotated
 
@@ -11,19 +11,20 @@ from mbd_ros.errors import ModelError
 
 
 class Rope(PathRow):
-    """Massless rope without friction that does not stretch: g = length - l >= 0, tension >= 0.
+    """Inextensible rope without mass and friction: g = length - l >= 0, tension >= 0.
 
-    It is slack while l < length. Where it becomes taut there is an impact with Poisson's
-    restitution. A smoothed rope acts as soon as g'' + 2 g' / T + g / T^2 would be negative: it
-    becomes taut exponentially, without an impact.
+    The rope is slack while l < length. When it becomes taut there is an impact with Poisson's
+    restitution. A smoothed rope acts as soon as g'' + 2 g' / T + g / T^2 would be negative, so
+    that it becomes taut exponentially and without an impact.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
+        path: Route of the rope: the name of a path of the scene, or the entry of a path.
         length: Length of the rope.
-        restitution: Share of the impulse of compression that an impact gives back.
-        smoothed: Whether the rope is solved for in every evaluation, which costs the order of the
-            method; that is so with a time constant, too.
-        time_constant: T of a smoothed rope, 0.01 s by default.
+        restitution: Poisson's coefficient of restitution, the ratio of the impulse of expansion to
+            that of compression.
+        smoothed: Whether the rope is solved for in every evaluation instead of switching at
+            events, which lowers the order of the integrator; `time_constant` implies it.
+        time_constant: Time constant T of a smoothed rope, 0.01 s by default.
     """
 
     example = {
@@ -50,9 +51,9 @@ class Rope(PathRow):
 
     @staticmethod
     def check(restitution: float, smoothed: bool, time_constant: float | None) -> None:
-        """Refuse bounces of a smoothed rope."""
+        """Refuse restitution of a smoothed rope."""
         if restitution > 0.0 and (smoothed or time_constant is not None):
             raise ModelError(
-                f"restitution {restitution:g} needs an exact rope: leave out smoothed and "
-                "time_constant"
+                f"restitution {restitution:g} is not accepted with smoothed or time_constant, "
+                "since a smoothed rope does not bounce"
             )

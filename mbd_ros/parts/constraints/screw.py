@@ -1,4 +1,4 @@
-"""Rotation coupled to translation."""
+"""Screw joint: a translation coupled to a rotation."""
 
 import math
 from typing import Annotated
@@ -14,19 +14,21 @@ from mbd_ros.errors import ModelError
 
 
 class Screw(Constraint):
-    """Lossless screw: q_joint - pitch / (2 pi) q_parent - offset = 0.
+    """Lossless screw between a prismatic and a revolute joint.
 
-    The multiplier is the axial force of the screw; a positive one pushes the sliding joint in its
-    positive direction and brakes the turning one by pitch / (2 pi) times as much.
+        g = q_joint - pitch / (2 pi) q_parent - offset
+
+    The multiplier is the axial force of the screw. A positive force pushes the prismatic joint in
+    its positive direction, and exerts -pitch / (2 pi) times the force on the revolute joint.
 
     Args:
         joint: Prismatic joint that the screw moves.
-        parent: Revolute or continuous joint that turns it.
-        pitch: Travel of a turn; < 0 for a left-handed screw.
-        offset: Position of `joint` at `parent` = 0.
+        parent: Revolute or continuous joint that turns the screw.
+        pitch: Travel per turn, negative for a left-handed screw.
+        offset: Position of `joint` where that of `parent` is 0.
 
     Raises:
-        ModelError: Joints of other kinds.
+        ModelError: `joint` is not prismatic, or `parent` is.
     """
 
     example = {"joint": "knee_slide_y", "parent": "knee", "pitch": 0.005}
@@ -49,21 +51,21 @@ class Screw(Constraint):
         self._turner = turner.q
         self._lead = pitch / (2.0 * math.pi)
         self._offset = offset
-        slopes = [0.0] * int(robot.model.nv)  # a list, which holds symbols, too
+        slopes = [0.0] * int(robot.model.nv)  # a list, since it can also contain symbols
         slopes[slider.v], slopes[turner.v] = 1.0, -self._lead
         self._jacobian = np.array([slopes])
         self._drift = np.zeros(1)
         self.rows = (Row("force", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """How far the slider is off the thread, g [m], shape (1,)."""
-        slid, turned = k.item(x.q, self._slider), k.item(x.q, self._turner)
-        return k.array((slid - self._lead * turned - self._offset,))
+        """Return g [m], shape (1,)."""
+        position, angle = k.item(x.q, self._slider), k.item(x.q, self._turner)
+        return k.array((position - self._lead * angle - self._offset,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Constant, shape (1, nv)."""
+        """Return the constant Jacobian, shape (1, nv)."""
         return self._jacobian
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """Zero, shape (1,)."""
+        """Return zero, shape (1,)."""
         return self._drift

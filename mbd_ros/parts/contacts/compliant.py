@@ -1,4 +1,4 @@
-"""Bodies that give way a little where they touch: penalty forces and friction."""
+"""Compliant contact of two bodies: penalty forces and friction."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
@@ -6,7 +6,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 
 from mbd_ros.core.contracts import Internal, Load, Now, Output, Value, Wrench
-from mbd_ros.core.geometry.contact_outputs import ContactShow
+from mbd_ros.core.geometry.contact_outputs import ContactOutputs
 from mbd_ros.core.geometry.contact_pair import contact_pair, distance_to_mass
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
@@ -24,50 +24,51 @@ from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within, is_value
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
-_DEEP = 0.01  # of the distance to a mass centre: a depth that changes a motion little
-HERTZ = 1.5  # exponent of two spheres
+_RELATIVE_PENETRATION = 0.01  # of the distance to the mass centre, which affects a motion little
+HERTZ = 1.5  # exponent of Hertz's law for two spheres
 
 
 class Compliant(Load):
-    """Contact of two bodies by springs, dampers and friction, one set a feature.
+    """Contact of two bodies by a spring, a damper and friction at every contact feature.
 
         linear:         normal = max(0, stiffness d + dissipation d')
         hunt_crossley:  normal = stiffness d^exponent max(0, 1 + dissipation d')
 
-    d is the depth of a feature, -gap. It only pushes. Friction takes one of two laws, and is
-    friction coefficient times normal at most: with `creep` it is smooth in the slip and creeps
-    below break-away, slower than `creep`; with `bristle_stiffness` and `bristle_damping` a
-    bristle holds a position, with its deflection as internal states. `check` and `simulate` say
-    which stiffness the integrator follows, and which one the depth takes.
+    d is the penetration of a feature, the negative gap. The contact never pulls. Friction is at
+    most `friction` times the normal force, by one of two laws. With `creep` it is a smooth
+    function of the slip velocity, so a contact below the friction limit creeps, slower than
+    `creep`. With `bristle_stiffness` and `bristle_damping` a bristle holds its position; its
+    deflections are internal states. `mbd-ros check` and `simulate` report the range of stiffness
+    that the integrator can follow and that keeps the penetration small.
 
     Args:
-        between: Shapes of a and of b.
-        stiffness: Of each feature; N/m^exponent for `hunt_crossley`.
-        dissipation: Damping of each feature, N·s/m; s/m for `hunt_crossley`.
+        between: Shapes of bodies a and b.
+        stiffness: Stiffness of each feature [N/m, or N/m^exponent for `hunt_crossley`].
+        dissipation: Damping of each feature [N·s/m, or s/m for `hunt_crossley`].
         law: Law of the normal force.
-        exponent: Of `hunt_crossley`, 1.5 by default.
-        friction: Coefficient, or one a feature.
-        creep: Velocity at which friction is that of slip, for friction without bristles.
-        bristle_stiffness: Of each bristle, along both tangents.
-        bristle_damping: Of each bristle.
+        exponent: Exponent of `hunt_crossley`, 1.5 by default.
+        friction: Friction coefficient, or one per feature.
+        creep: Slip velocity at which friction reaches its limit, for friction without bristles.
+        bristle_stiffness: Stiffness of each bristle, along both tangents.
+        bristle_damping: Damping of each bristle.
         margin: Distance at which surfaces count as touching.
-        max_penetration: Depth that the lower end of the window of `stiffness` allows; without it
-            one hundredth of the way from the contact to the mass centre of the body.
-        max_force: Normal force of a feature that the window is for; without it the load at rest.
+        max_penetration: Largest acceptable penetration, from which the lowest reported stiffness
+            follows; by default 1 % of the distance from the contact to the mass centre.
+        max_force: Normal force per feature for which that penetration is accepted; by default the
+            static load.
 
     Attributes:
-        pair: Gaps, frames and their derivatives.
-        features: Names of its slots.
-        contact: What it shows.
+        pair: Geometry of the contact: gaps, frames and their derivatives.
+        features: Names of the contact features.
+        contact: Output quantities of the contact.
         normal: Law of the normal force.
-        rubbing: Law of friction, None without any.
-        max_penetration: As above, 0 where neither is known [m].
-        max_force: As above, None without it [N].
-        default_name: What it is called where nobody names it.
+        friction_law: Law of friction, None without friction.
+        max_penetration: Largest acceptable penetration [m], 0 if it is unknown.
+        max_force: Normal force for that penetration [N], or None.
+        default_name: Name of the contact if its entry has none.
 
     Raises:
-        ModelError: Bodies that do not move against each other, or friction of another number of
-            features.
+        ModelError: Bodies without relative motion, or a wrong number of friction coefficients.
     """
 
     example = {
@@ -77,6 +78,7 @@ class Compliant(Load):
         "friction": 0.8,
         "creep": 0.01,
     }
+    is_compliant_contact = True
     reads = Reads.JACOBIAN
 
     def __init__(
@@ -107,15 +109,16 @@ class Compliant(Load):
         if law == "hunt_crossley":
             power = HERTZ if exponent is None else exponent
             self.normal = HuntCrossleyNormal(stiffness, dissipation, power)
-        self.rubbing: FrictionLaw | None = None if creep is None else Creep(creep)
+        self.friction_law: FrictionLaw | None = None if creep is None else Creep(creep)
         if bristle_stiffness is not None and bristle_damping is not None:
-            self.rubbing = Bristle(bristle_stiffness, bristle_damping)
+            self.friction_law = Bristle(bristle_stiffness, bristle_damping)
             self.internal = tuple(_bristles(self.features))
-        deep = max_penetration
-        self.max_penetration = _DEEP * distance_to_mass(robot, self.pair) if deep is None else deep
+        if max_penetration is None:
+            max_penetration = _RELATIVE_PENETRATION * distance_to_mass(robot, self.pair)
+        self.max_penetration = max_penetration
         self.max_force = max_force
         self._nv = int(robot.model.nv)
-        self.contact = ContactShow(robot, self.pair, friction)
+        self.contact = ContactOutputs(robot, self.pair, friction)
         forces = (Output(name, "N", frame=between.b.frame) for name in self.contact.names)
         self.outputs = (*forces, *self.contact.outputs)
         a, b = self.pair.points
@@ -130,112 +133,123 @@ class Compliant(Load):
         bristle_stiffness: float | None,
         bristle_damping: float | None,
     ) -> None:
-        """Refuse laws that are not whole, or more than one."""
+        """Refuse incomplete laws of normal force and friction, and two laws of friction."""
         if exponent is not None and law == "linear":
-            raise ModelError("exponent belongs to law: hunt_crossley, the linear law has none")
+            raise ModelError("exponent is accepted with law: hunt_crossley only")
         bristle = (bristle_stiffness, bristle_damping)
         if (bristle_stiffness is None) != (bristle_damping is None):
-            raise ModelError("a bristle takes both bristle_stiffness and bristle_damping")
+            raise ModelError("give both bristle_stiffness and bristle_damping, or neither")
         if creep is not None and bristle != (None, None):
-            raise ModelError("friction takes creep or a bristle, not both")
-        rubs = any(friction) if isinstance(friction, Sequence) else not is_value(friction, 0.0)
-        if rubs and creep is None and bristle == (None, None):
+            raise ModelError("give either creep or a bristle, not both")
+        has_friction = (
+            any(friction) if isinstance(friction, Sequence) else not is_value(friction, 0.0)
+        )
+        if has_friction and creep is None and bristle == (None, None):
             raise ModelError(
                 "friction needs creep, a velocity [m/s], or bristle_stiffness and bristle_damping"
             )
 
     def multipliers(self, k: Kinematics, x: State) -> Array:
-        """Force on a in the contact frames: normal, then both tangents [N], shape (3 n,)."""
-        found = self._pushed(k, x)
-        return np.zeros(3 * len(self.features)) if found is None else np.array(found.forces)
+        """Return the forces on a in the contact frames [N], shape (3 n,).
+
+        For each feature: the normal force, then the friction along both tangents.
+        """
+        contact = self._contact_forces(k, x)
+        return np.zeros(3 * len(self.features)) if contact is None else np.array(contact.forces)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        found = self._pushed(k, x)
-        if found is None:
+        """Return the generalized force, shape (nv,)."""
+        contact = self._contact_forces(k, x)
+        if contact is None:
             return np.zeros(self._nv)
-        tau: Array = np.array(found.forces).dot(found.jacobian)
+        tau: Array = np.array(contact.forces).dot(contact.jacobian)
         return tau
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rates of the deflections [m/s], shape (2 n,); without bristles there are none."""
-        law, z = self.rubbing, x.z[self.z]
+        """Return the rates of the bristle deflections [m/s], shape (2 n,), (0,) without bristles.
+
+        A bristle whose feature does not touch relaxes to its undeflected state.
+        """
+        law, z = self.friction_law, x.z[self.z]
         if not isinstance(law, Bristle):
             return np.zeros(0)
-        released, found = -law.stiffness / law.damping * z, self._pushed(k, x)
-        if found is None:
-            return released
-        rates, bends = released.tolist(), z.tolist()
+        relaxation = -law.stiffness / law.damping * z
+        contact = self._contact_forces(k, x)
+        if contact is None:
+            return relaxation
+        rates, deflections = relaxation.tolist(), z.tolist()
         for i, mu in enumerate(self._friction):
-            normal = found.forces[3 * i]
+            normal = contact.forces[3 * i]
             if normal:
-                own, slip = bends[2 * i : 2 * i + 2], found.speeds[3 * i + 1 : 3 * i + 3]
-                rates[2 * i : 2 * i + 2] = law.rate(own, slip, mu * normal)
+                deflection = deflections[2 * i : 2 * i + 2]
+                slip = contact.velocities[3 * i + 1 : 3 * i + 3]
+                rates[2 * i : 2 * i + 2] = law.rate(deflection, slip, mu * normal)
         return np.array(rates)
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of springs and bristles [J]."""
-        stored = sum(self.normal.energy(-gap) for gap in self.pair.gaps(k).tolist() if gap < 0.0)
-        if isinstance(self.rubbing, Bristle):
+        """Return the energy of springs and bristles [J]."""
+        energy = sum(self.normal.energy(-gap) for gap in self.pair.gaps(k).tolist() if gap < 0.0)
+        if isinstance(self.friction_law, Bristle):
             z = x.z[self.z].tolist()
-            stored += sum(map(self.rubbing.energy, zip(z[::2], z[1::2], strict=True)))
-        return stored
+            energy += sum(map(self.friction_law.energy, zip(z[::2], z[1::2], strict=True)))
+        return energy
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The wrenches on a and on b, at the centre of pressure."""
+        """Return the wrenches on a and on b, at the centre of pressure."""
         return self.contact.wrenches(k, self.multipliers(k, x).reshape(-1, 3))
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Forces, gaps, states, what a feels, and where."""
+        """Return forces, gaps, contact states, and the wrench on a with its point."""
         forces = self.multipliers(k, x)
         return [*forces.tolist(), *self.contact.values(k, forces.reshape(-1, 3))]
 
     def slopes(self, feature: int, force: float, share: float = 1.0) -> Slopes:
-        """Slopes of the forces of a feature at rest.
+        """Return stiffness and damping of a feature, linearised at rest under load.
 
         Args:
-            feature: Its slot.
-            force: Normal force that it carries [N].
-            share: Multiple of the stiffness of the contact.
+            feature: Index of the feature.
+            force: Normal force that the feature carries [N].
+            share: Factor on the stiffness of the contact.
         """
         sides = (0.0, 0.0)
-        if self.rubbing is not None and self._friction[feature]:
-            sides = self.rubbing.slopes(self._friction[feature] * force)
+        if self.friction_law is not None and self._friction[feature]:
+            sides = self.friction_law.slopes(self._friction[feature] * force)
         return Slopes(*self.normal.slopes(force, share), *sides)
 
-    def _pushed(self, k: Kinematics, x: State) -> "_Pushed | None":
-        """What pushes at a state; None where nothing touches."""
+    def _contact_forces(self, k: Kinematics, x: State) -> "_ContactForces | None":
+        """Evaluate all features; None where none touches."""
         gaps = self.pair.gaps(k).tolist()
         if min(gaps) >= 0.0:
             return None
         J = self.pair.jacobian(k)
-        speeds, law, forces = J.dot(x.v).tolist(), self.rubbing, [0.0] * len(J)
-        bends = x.z[self.z].tolist() if self.internal else [0.0] * (2 * len(gaps))
+        velocities, law, forces = J.dot(x.v).tolist(), self.friction_law, [0.0] * len(J)
+        deflections = x.z[self.z].tolist() if self.internal else [0.0] * (2 * len(gaps))
         for i, gap in enumerate(gaps):
             if gap < 0.0:
-                at = 3 * i
-                forces[at] = normal = self.normal.force(-gap, -speeds[at])
+                row = 3 * i
+                forces[row] = normal = self.normal.force(-gap, -velocities[row])
                 if normal and law is not None:
-                    own, slip = bends[2 * i : 2 * i + 2], speeds[at + 1 : at + 3]
+                    deflection = deflections[2 * i : 2 * i + 2]
+                    slip = velocities[row + 1 : row + 3]
                     limit = self._friction[i] * normal
-                    forces[at + 1 : at + 3] = law.force(own, slip, limit)
-        return _Pushed(forces, speeds, J)
+                    forces[row + 1 : row + 3] = law.force(deflection, slip, limit)
+        return _ContactForces(forces, velocities, J)
 
 
-class _Pushed(NamedTuple):
-    """Normals and tangents of all features.
+class _ContactForces(NamedTuple):
+    """Forces and velocities along normal and tangents of all features.
 
     Attributes:
-        forces: On a [N], 3 n.
-        speeds: Of a past b [m/s], 3 n.
-        jacobian: From joint velocities to these, shape (3 n, nv).
+        forces: Forces on a [N], 3 n numbers.
+        velocities: Velocities of a relative to b [m/s], 3 n numbers.
+        jacobian: Map from joint velocities to these velocities, shape (3 n, nv).
     """
 
     forces: list[float]
-    speeds: list[float]
+    velocities: list[float]
     jacobian: Array
 
 
 def _bristles(features: Sequence[str]) -> list[Internal]:
-    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
-    return [Internal(f"{part}bristle_{axis}", "m", initial=0.0) for part in parts for axis in "xy"]
+    prefixes = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
+    return [Internal(f"{p}bristle_{axis}", "m", initial=0.0) for p in prefixes for axis in "xy"]

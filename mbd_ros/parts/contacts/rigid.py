@@ -1,10 +1,10 @@
-"""Bodies that never overlap, with dry friction where they touch."""
+"""Rigid contact of two bodies with Coulomb friction."""
 
 from collections.abc import Sequence
 from typing import Annotated
 
 from mbd_ros.core.contracts import Now, Value, Wrench
-from mbd_ros.core.geometry.contact_outputs import ContactShow
+from mbd_ros.core.geometry.contact_outputs import ContactOutputs
 from mbd_ros.core.geometry.contact_pair import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
@@ -16,32 +16,33 @@ from mbd_ros.errors import ModelError
 
 
 class Rigid(Constraint):
-    """Contact of two bodies: Signorini and Coulomb, one cone a feature.
+    """Unilateral contact of two bodies with a friction cone at every contact feature.
 
-        g >= 0,   normal >= 0,   |friction| <= mu normal, against the slip
+        g >= 0,   normal >= 0,   g normal = 0                       (Signorini)
+        |friction| <= mu normal, opposed to the slip where equal     (Coulomb)
 
-    Multipliers push a, along the normal out of b, then along two tangents of the contact frame.
-    Friction is isotropic, static and kinetic friction are the same. An impact gives back a share
-    of its compression. What bodies look like is the subject of `core/geometry`.
+    The multipliers act on body a: along the normal, which points out of b, then along two tangents
+    of the contact frame. Friction is isotropic, with equal static and kinetic coefficients.
+    Impacts have Poisson's restitution. Shapes and gaps are the subject of `core/geometry`.
 
     Args:
-        between: Shapes of a and of b.
-        friction: Coefficient mu, or one a feature.
-        restitution: Share of the impulse of a compression that its expansion gives back.
+        between: Shapes of bodies a and b.
+        friction: Friction coefficient mu, or one per feature.
+        restitution: Poisson's coefficient of restitution, the ratio of the impulse of expansion to
+            that of compression.
         margin: Distance at which surfaces count as touching.
-        assemble: Whether bodies that overlap at the start are lifted out of one another, each the
-            least by its mass; otherwise such a start is refused.
+        assemble: Whether bodies that overlap initially are separated, by the smallest displacement
+            in the mass metric; otherwise such a start is refused.
 
     Attributes:
-        pair: Gaps, frames and their derivatives.
-        features: Names of its slots.
-        contact: What it shows.
-        assemble: As given.
-        default_name: What it is called where nobody names it.
+        pair: Geometry of the contact: gaps, frames and their derivatives.
+        features: Names of the contact features.
+        contact: Output quantities of the contact.
+        assemble: Whether an initial overlap is removed.
+        default_name: Name of the contact if its entry has none.
 
     Raises:
-        ModelError: Bodies that do not move against each other, or friction of another number of
-            features.
+        ModelError: Bodies without relative motion, or a wrong number of friction coefficients.
     """
 
     smoothed = False
@@ -74,32 +75,32 @@ class Rigid(Constraint):
         self.law = cone(friction, restitution)
         a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
-        self.contact = ContactShow(robot, self.pair, friction)
+        self.contact = ContactOutputs(robot, self.pair, friction)
         self.rows = tuple(Row(name, "N", between.b.frame) for name in self.contact.names)
         self.outputs = self.contact.outputs
 
     def residual(self, k: Kinematics, x: State) -> Array:
-        """Gaps [m], each before two zeros: along tangents any place will do, shape (3 n,)."""
+        """Return (gap, 0, 0) of every feature [m], shape (3 n,); tangents restrict no position."""
         residual = k.zeros(len(self.rows))
         residual[::3] = self.pair.gaps(k)
         return residual
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """From joint velocities to those of a past b in the contact frames, shape (3 n, nv)."""
+        """Return the map from joint velocities to contact velocities of a, shape (3 n, nv)."""
         return self.pair.jacobian(k)
 
     def drift(self, k: Kinematics, x: State) -> Array:
-        """J' v, shape (3 n,)."""
+        """Return J' v, shape (3 n,)."""
         return self.pair.drift(k, x)
 
     def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
-        """Both `jacobian` and `drift`, for the places of one."""
+        """Return `jacobian` and `drift`, which share the contact points."""
         return self.pair.accelerations(k, x)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Gaps, states, what a feels, and where."""
+        """Return gaps, contact states, and the wrench on a with its point."""
         return self.contact.values(k, now.lam.reshape(-1, 3))
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
-        """The wrenches on a and on b, at the centre of pressure."""
+        """Return the wrenches on a and on b, at the centre of pressure."""
         return self.contact.wrenches(k, lam.reshape(-1, 3))

@@ -23,16 +23,16 @@ from mbd_ros.methods.control.sliding_mode import sliding_variable
 
 
 class ComputedTorque(Controller):
-    """Makes the errors of a true model those of a damped oscillator: e'' + kd e' + kp e = 0.
+    """Computed torque control: with an exact model the errors obey e'' + kd e' + kp e = 0.
 
         tau = A^+ (a_ref - kd e' - kp e - a_free)
 
-    Only kp withstands disturbances: they leave e = d / kp. With lambda = kp / kd in
-    s = e' + lambda e the control law is s' = lambda e' - kd s.
+    A constant disturbance acceleration d causes the steady error e = d / kp. The reported sliding
+    variable is s = e' + lambda e with lambda = kp / kd.
 
     Args:
-        kp: Acceleration per error.
-        kd: Acceleration per velocity error; 2 kp^(1/2) damps critically.
+        kp: Acceleration per position error.
+        kd: Acceleration per velocity error; 2 kp^(1/2) is critical damping.
 
     Source: J. Y. S. Luh, M. W. Walker, R. P. C. Paul, IEEE Trans. Autom. Control 25, 1980,
         468-474.
@@ -52,18 +52,18 @@ class ComputedTorque(Controller):
         self._bandwidth = per_joint(kp, len(joints), "kp") / self._kd
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
-        """Its own gains."""
+        """Return kp and kd."""
         return pd_gains(self._kd * self._bandwidth, self._kd)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """Acceleration that wrong masses cause, over kp."""
+        """Return the acceleration error of wrong masses, divided by kp."""
         return disturbance(at_rest.a_free) / (self._kd * self._bandwidth)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state."""
+        """Return the control at a state."""
         r = self.joints.response(x)
-        s, a_keep = sliding_variable(r, ref, self._bandwidth)
+        s, a_steady = sliding_variable(r, ref, self._bandwidth)
         mobility = MobilityFactor(r.mobility)
-        equivalent = mobility.solve(a_keep - r.a_free)
+        equivalent = mobility.solve(a_steady - r.a_free)
         effort = mobility.solve(ref.a - self._kd * s - r.a_free)
         return Control(effort, s, equivalent, np.zeros(0), np.zeros(0, dtype=np.bool_))

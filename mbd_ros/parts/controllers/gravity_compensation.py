@@ -1,4 +1,4 @@
-"""Springs and dampers about the reference, beside the torque that holds the mechanism at rest."""
+"""Joint springs and dampers about the reference, with gravity compensation."""
 
 from typing import Annotated
 
@@ -20,22 +20,22 @@ from mbd_ros.methods.control.contract import (
 from mbd_ros.methods.control.efforts import MobilityFactor
 from mbd_ros.methods.control.sliding_mode import sliding_variable
 
-_SLOWEST = 1.0e-6  # 1/s, of a mode that efforts do not move
+_SLOWEST = 1.0e-6  # [1/s], damping rate of a mode that efforts cannot move
 
 
 class GravityCompensation(Controller):
-    """Holds the mechanism against gravity and the other forces at rest, softly.
+    """Gravity compensation with a compliant position feedback.
 
         tau = -A^+ a_free(q, v = 0) - stiffness e - damping e'
 
-    The first term, reported as the equivalent part, leaves the controlled joints without
-    acceleration from rest, couplings and loops kept. No term follows the acceleration of the
-    reference: this control law is for holding and for slow motion. It is passive, hence stable
-    for any positive gains as long as the loop is much faster than damping over inertia.
+    The first term, reported as the equivalent control, balances gravity and all other forces at
+    rest, subject to couplings and loops. The acceleration of the reference is not fed forward, so
+    this control law is for holding and for slow motion. It is passive, and therefore stable for
+    any positive gains, as long as the control loop is much faster than damping over inertia.
 
     Args:
-        stiffness: Effort per error.
-        damping: Effort per velocity error; far less than inertia over the period of the loop.
+        stiffness: Effort per position error.
+        damping: Effort per velocity error; must be far less than inertia over control period.
 
     Source: M. Takegaki, S. Arimoto, J. Dyn. Syst. Meas. Control 103, 1981, 119-125.
     """
@@ -54,14 +54,14 @@ class GravityCompensation(Controller):
         self._bandwidth = per_joint(stiffness, len(joints), "stiffness") / self._damping
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
-        """Of the modes: eigenvalues of A D, with the largest stiffness over damping."""
+        """Return gains of the modes: eigenvalues of A D and the largest stiffness over damping."""
         root = np.sqrt(self._damping)
         rates = np.linalg.eigvalsh(root[:, None] * at_rest.mobility * root)
         damping = np.maximum(rates, _SLOWEST)
         return pd_gains(damping * self._bandwidth.max(), damping)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state."""
+        """Return the control at a state."""
         joints = self.joints
         r = joints.response(x._replace(v=np.zeros_like(x.v)))
         moving = r._replace(v=joints.velocities(x))

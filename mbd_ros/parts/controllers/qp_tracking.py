@@ -1,4 +1,4 @@
-"""Accelerations as near to those of the reference as the limits of drives and joints allow."""
+"""Tracking by a quadratic program that respects the limits of drives and joints."""
 
 from typing import Annotated
 
@@ -26,33 +26,35 @@ from mbd_ros.methods.control.sliding_mode import sliding_variable
 
 
 class QpTracking(Controller):
-    """The constrained quadratic program of tracking.
+    """Tracking control by a constrained quadratic program.
 
         min |a - a_ref|²_W   subject to   a_all = a_free + mobility tau,  tau in the effort box,
                                           lower <= a_all <= upper  (`MotionLimits`)
         a_ref = ref.a - kd e' - kp e,     e = q - ref.q
 
-    Couplings and loops are in a_all, so that dependent joints keep their limits too. As long as
-    no limit is passed the effort is that of computed torque and no QP is solved. The effort box
-    is always kept; where it leaves limits of motion out of reach, these are passed by the least
-    sum of squares. Redundant efforts have the least norm. It leaves out contacts, and the jerk
-    that torque-rate limits allow in later periods (a longer horizon makes up for it).
+    a_all are the accelerations of all joints under the constraints, so limits of dependent joints
+    are respected too. While no limit is active, the effort is that of computed torque and no QP
+    is solved. Effort limits are hard. Where they make the limits of motion infeasible, the sum of
+    squares of the violations is minimised. Redundant efforts have minimum norm. Contacts are left
+    out, and so is the change of torque that rate limits allow in later periods; a longer horizon
+    compensates for that.
+
     Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on the
-    order of hard limits, softer ones and the task.
+    hierarchy of hard limits, soft limits and the task.
 
     Args:
-        kp: Acceleration per error, > 0.
-        kd: Acceleration per velocity error, > 0; 2 kp^(1/2) damps critically.
+        kp: Acceleration per position error, > 0.
+        kd: Acceleration per velocity error, > 0; 2 kp^(1/2) is critical damping.
         weight: Cost of a squared acceleration error, > 0.
-        horizon: Time ahead for which limits of motion are kept; at least the period of the
-            commands, longer for drives that need longer to turn their torque round.
-        braking: Time in which a joint can be brought from its largest velocity to rest.
+        horizon: Prediction time in which limits of motion are respected; at least the period of
+            the commands, longer for drives that need longer to reverse their torque.
+        braking: Time in which a joint can brake from its largest velocity to rest.
         position_margin: Distance to keep from position limits.
-        position_limits: Whether position limits of the robot description are kept.
-        velocity_limits: Whether velocity limits of the robot description are kept.
+        position_limits: Whether position limits of the robot description are respected.
+        velocity_limits: Whether velocity limits of the robot description are respected.
 
     Attributes:
-        counts: How the QPs went so far.
+        counts: Statistics of the QPs solved so far.
 
     Raises:
         ModelError: A value that is not accepted, or proxsuite is not installed.
@@ -77,7 +79,7 @@ class QpTracking(Controller):
         self.joints = joints
         self._kd = per_joint(kd, n, "kd")
         self._weight = per_joint(weight, n, "weight")
-        self._slope = per_joint(kp, n, "kp") / self._kd
+        self._bandwidth = per_joint(kp, n, "kp") / self._kd
         self._limits = MotionLimits(
             joints.system.robot.joints,
             horizon=horizon,
@@ -95,45 +97,45 @@ class QpTracking(Controller):
             *(f"velocity {limited[i].name}" for i in self._has_velocity),
             *(f"position {limited[i].name}" for i in self._has_position),
         )
-        self._idle = np.zeros(len(self.limit_names), dtype=np.bool_)
-        self._idle.flags.writeable = False
+        self._none_active = np.zeros(len(self.limit_names), dtype=np.bool_)
+        self._none_active.flags.writeable = False
         self._qp = HardSoftQp(n, len(limited))
 
     @property
     def counts(self) -> Counts:
-        """How the QPs went so far; `solves` does not count states where no limit was passed."""
+        """Statistics of the QPs; `solves` does not count states at which no limit was active."""
         return self._qp.counts
 
     def details(self) -> dict[str, str]:
-        """The counts."""
+        """Return the statistics of the QPs."""
         return {f"qp {name}": str(count) for name, count in self.counts._asdict().items()}
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
-        """Those of computed torque: limits that act make the loop no faster."""
-        return pd_gains(self._kd * self._slope, self._kd)
+        """Return kp and kd, as for computed torque: active limits do not make the loop faster."""
+        return pd_gains(self._kd * self._bandwidth, self._kd)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """Acceleration that wrong masses cause, over kp."""
-        return disturbance(at_rest.a_free) / (self._kd * self._slope)
+        """Return the acceleration error of wrong masses, divided by kp."""
+        return disturbance(at_rest.a_free) / (self._kd * self._bandwidth)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """As `Controller.effort`.
+        """Return the control at a state.
 
         Raises:
             SolveError: State, reference or dynamics are not finite, or the effort box is empty.
         """
         a_free, mobility = self.joints.accelerations(x)
-        own = self.joints.response(x, (a_free, mobility))
-        s, steady = sliding_variable(own, ref, self._slope)
-        wanted = np.stack([ref.a - self._kd * s, steady], axis=1)
-        _check(own, wanted, box)
-        metric = TrackingMetric(own.mobility, self._weight)
-        tau, equivalent = metric.efforts(wanted - own.a_free[:, None]).T
+        r = self.joints.response(x, (a_free, mobility))
+        s, a_steady = sliding_variable(r, ref, self._bandwidth)
+        a_ref = np.stack([ref.a - self._kd * s, a_steady], axis=1)
+        _check(r, a_ref, box)
+        metric = TrackingMetric(r.mobility, self._weight)
+        tau, equivalent = metric.efforts(a_ref - r.a_free[:, None]).T
         rows, motion = mobility[self._rows], self._limits.box(x)
         a = a_free[self._rows] + rows.dot(tau)
-        efforts = np.maximum(box.lower - tau, tau - box.upper).max()
-        if efforts <= 0.0 and (motion.lower <= a).all() and (a <= motion.upper).all():
-            return Control(tau, s, equivalent, memory[:0], self._idle)
+        excess = np.maximum(box.lower - tau, tau - box.upper).max()
+        if excess <= 0.0 and (motion.lower <= a).all() and (a <= motion.upper).all():
+            return Control(tau, s, equivalent, memory[:0], self._none_active)
         tau, active = self._limited(metric, tau, rows, a, box, motion)
         return Control(tau, s, equivalent, memory[:0], active)
 
@@ -146,40 +148,50 @@ class QpTracking(Controller):
         box: EffortBox,
         motion: AccelerationBox,
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Effort within limits, and which of them act, from the effort without limits."""
+        """Return the effort within limits and the active limits.
+
+        Args:
+            metric: Metric of tracking errors.
+            tau: Effort without limits.
+            rows: Rows of the mobility of the joints with limits.
+            a: Accelerations of these joints under `tau`.
+            box: Effort limits.
+            motion: Acceleration limits of these joints.
+        """
         T = metric.directions()
         lower = np.concatenate([box.lower - tau, motion.lower - a])
         upper = np.concatenate([box.upper - tau, motion.upper - a])
         try:
-            found = self._qp.solve(np.concatenate([T, rows.dot(T)]), lower, upper)
-        except SolveError:  # counted there; a clipped command is still better than none
+            solution = self._qp.solve(np.concatenate([T, rows.dot(T)]), lower, upper)
+        except SolveError:  # `counts` has it; a clipped command is better than none
             clipped = np.clip(tau, box.lower, box.upper)
-            n = len(self._idle) - len(tau)
+            n = len(self._none_active) - len(tau)
             return clipped, np.concatenate([clipped != tau, np.zeros(n, dtype=np.bool_)])
         n = len(tau)
-        acting = found.side[:n]
-        effort = np.clip(tau + T.dot(found.y), box.lower, box.upper)
-        effort = np.where(acting > 0, box.lower, np.where(acting < 0, box.upper, effort))
-        return effort, self._active(found, motion)
+        active_side = solution.side[:n]
+        effort = np.clip(tau + T.dot(solution.y), box.lower, box.upper)
+        effort = np.where(active_side > 0, box.lower, np.where(active_side < 0, box.upper, effort))
+        return effort, self._active_limits(solution, motion)
 
-    def _active(self, found: Candidate, motion: AccelerationBox) -> NDArray[np.bool_]:
+    def _active_limits(self, solution: Candidate, motion: AccelerationBox) -> NDArray[np.bool_]:
+        """Return which of `limit_names` are active."""
         n = len(self.joints)
-        side = found.side[n:]
+        side = solution.side[n:]
         at_position = np.where(side > 0, motion.position_below, motion.position_above)
         at_position &= side != 0
         at_velocity = (side != 0) & ~at_position
         return np.concatenate(
             [
-                found.side[:n] != 0,
+                solution.side[:n] != 0,
                 at_velocity[self._has_velocity],
                 at_position[self._has_position],
             ]
         )
 
 
-def _check(own: Response, wanted: Array, box: EffortBox) -> None:
-    values = (own.q, own.v, own.a_free, own.mobility, wanted)
+def _check(r: Response, a_ref: Array, box: EffortBox) -> None:
+    values = (r.q, r.v, r.a_free, r.mobility, a_ref)
     if not all(np.isfinite(value).all() for value in values):
         raise SolveError("state, reference or dynamics are not finite")
     if not ((box.lower <= box.upper) & (box.lower < np.inf) & (box.upper > -np.inf)).all():
-        raise SolveError("the effort box is empty or not a number")
+        raise SolveError("effort limits are not a number, or a lower one is above its upper one")

@@ -22,23 +22,23 @@ from mbd_ros.methods.control.sliding_mode import ReachingLaw, ReachingName, slid
 
 
 class SlidingMode(Controller):
-    """Drives s = e' + lambda e to zero in spite of disturbances, each joint for itself.
+    """Sliding mode control: drives s = e' + lambda e of every joint to zero despite disturbances.
 
         tau = A^+ (a_ref - lambda e' - a_free) - A^+ rho(s)
 
-    The first term is the equivalent control of the constrained model, exact without errors: then
-    s' = -rho(s). Couplings and loops stand in a_free and the mobility A, of which A^+ is the
-    pseudo-inverse. The reaching law rho is k sgn s (constant), k sgn s + c s (exponential) or
-    k |s|^p sgn s (power rate); for |s| < phi the line from 0 to rho(phi) takes its place.
+    The first term is the equivalent control; with an exact model s' = -rho(s). A^+ is the
+    pseudo-inverse of the mobility A, and A and a_free include couplings and loops. The reaching
+    law rho is k sgn s (constant), k sgn s + c s (exponential) or k |s|^p sgn s (power rate); in
+    the boundary layer |s| < phi it is replaced by the line from 0 to rho(phi).
 
     Args:
-        bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
-        gain: k: must exceed the accelerations that model error and disturbance cause.
-        boundary_layer: phi, >= 0: width within which the command is continuous; at least `gain`
-            times the period of the loop keeps it from chattering.
+        bandwidth: lambda; on s = 0 errors decay as exp(-lambda t).
+        gain: k, which must exceed the accelerations due to model errors and disturbances.
+        boundary_layer: phi >= 0, half the width of the layer in which the command is continuous;
+            at least `gain` times the control period avoids chattering.
         law: Reaching law rho.
-        rate: c of the exponential law.
-        power: Exponent of the power-rate law, > 0 and < 1.
+        rate: c of the exponential reaching law.
+        power: Exponent p of the power-rate reaching law, > 0 and < 1.
 
     Source: V. Utkin, IEEE Trans. Autom. Control 22, 1977, 212-222; J.-J. E. Slotine, W. Li,
         Applied Nonlinear Control, 1991, sec. 7.2.
@@ -62,32 +62,32 @@ class SlidingMode(Controller):
         self._law = ReachingLaw(len(joints), law, gain, rate, power, boundary_layer)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state."""
+        """Return the control at a state."""
         r = self.joints.response(x)
-        s, a_keep = sliding_variable(r, ref, self._bandwidth)
+        s, a_steady = sliding_variable(r, ref, self._bandwidth)
         mobility = MobilityFactor(r.mobility)
-        equivalent = mobility.solve(a_keep - r.a_free)
+        equivalent = mobility.solve(a_steady - r.a_free)
         effort = equivalent - mobility.solve(self._law(s))
         return Control(effort, s, equivalent, np.zeros(0), np.zeros(0, dtype=np.bool_))
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
-        """The slope of the reaching law within its boundary layer."""
+        """Return gains from the slope of the reaching law in its boundary layer."""
         return sliding_gains(self._bandwidth, self._law.slope(period))
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """The edge of the boundary layer over lambda; the reaching law gives no more beyond."""
+        """Return the edge of the boundary layer over lambda."""
         return self._law.layer(period) / self._bandwidth
 
     def bound(self, disturbance: Array | float, effectiveness: Array | float = 1.0) -> Array:
-        """Largest errors once s has settled: width of the reaching law over lambda.
+        """Return a bound on the position errors once s has settled.
 
         Args:
-            disturbance: Bound of `Mismatch.disturbance` near the reference
-                [rad/s^2 or m/s^2], one or one a joint.
-            effectiveness: Least of `Mismatch.effectiveness`; where that is no diagonal matrix,
-                and all joints have the same gains, its least E_ii less the sum of |E_ij|.
+            disturbance: Bound on `Mismatch.disturbance` near the reference [rad/s^2 or m/s^2],
+                for all joints or for each.
+            effectiveness: Lower bound on `Mismatch.effectiveness` E; if E is not diagonal and all
+                joints have the same gains, the least E_ii minus the sum of |E_ij| over j.
 
         Returns:
-            [rad or m], shape (n,); inf where the gain is too small.
+            Bound [rad or m], shape (n,); inf where the gain is too small.
         """
         return self._law.width(disturbance, effectiveness) / self._bandwidth

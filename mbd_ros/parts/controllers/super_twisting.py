@@ -1,4 +1,4 @@
-"""Continuous sliding mode control of second order."""
+"""Second-order sliding mode control with a continuous command."""
 
 from typing import Annotated
 
@@ -24,27 +24,27 @@ from mbd_ros.methods.control.sliding_mode import (
     super_twisting,
 )
 
-_ROOT = 1.1128  # describing function of |s|^(1/2) sgn s at amplitude 1: 4/pi times a beta function
+_DESCRIBING = 1.1128  # describing function of |s|^(1/2) sgn s at amplitude 1
 
 
 class SuperTwisting(Controller):
-    """Drives s = e' + lambda e and s' to zero in finite time with a continuous command.
+    """Super-twisting control: drives s = e' + lambda e and s' to zero in finite time.
 
         tau = A^+ (a_ref - lambda e' - a_free - k1 |s|^(1/2) sgn s + w)
         w' = -k2 P sgn s,   k1 = c1 L^(1/2),   k2 = c2 L
 
-    componentwise: the mobility A of the constrained model decouples the joints. P projects onto
-    the accelerations that efforts can give, the identity unless actuation is redundant. w is the
-    memory; it learns the disturbance. It stands still where it would push further against the
-    effort box (anti-windup).
+    The equations hold per joint, since the mobility A decouples the joints. P projects onto the
+    accelerations that efforts can produce; it is the identity unless actuation is redundant. The
+    memory w converges to the negative disturbance. It is frozen where it would push further
+    against an effort limit (anti-windup).
 
     Args:
-        bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
-        disturbance_rate: L: must exceed the rate of change of the accelerations that model error
-            and disturbance cause.
+        bandwidth: lambda; on s = 0 errors decay as exp(-lambda t).
+        disturbance_rate: L, which must exceed the rate of change of the accelerations due to model
+            errors and disturbances.
         proportional: c1, factor of k1.
-        integral: c2, factor of k2, > 1; with c2 > 1 + 2 / c1^2 the reaching time is provable, by
-            default down to an effectiveness of 0.7 (masses wrong by 30 %).
+        integral: c2 > 1, factor of k2. If c2 > 1 + 2 / c1^2, a bound on the reaching time exists;
+            with the default values it does down to an effectiveness of 0.7 (masses 30 % off).
 
     Source: A. Levant, Int. J. Control 58, 1993, 1247-1263; J. A. Moreno, M. Osorio, IEEE Trans.
         Autom. Control 57, 2012, 1035-1040; I. Boiko, L. Fridman, IEEE Trans. Autom. Control 50,
@@ -73,48 +73,49 @@ class SuperTwisting(Controller):
         self._k2 = self._c2 * self._limit
 
     def begin(self) -> Array:
-        """No disturbance known: w = 0 [rad/s^2 or m/s^2], shape (n,)."""
+        """Return w = 0, since no disturbance is known [rad/s^2 or m/s^2], shape (n,)."""
         return np.zeros(len(self.joints))
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state."""
+        """Return the control at a state."""
         r = self.joints.response(x)
-        s, a_keep = sliding_variable(r, ref, self._bandwidth)
-        push, rate = super_twisting(s, self._k1, self._k2)
+        s, a_steady = sliding_variable(r, ref, self._bandwidth)
+        feedback, rate = super_twisting(s, self._k1, self._k2)
         mobility = MobilityFactor(r.mobility)
-        equivalent = mobility.solve(a_keep - r.a_free)
-        effort = equivalent + mobility.solve(push + memory)
+        equivalent = mobility.solve(a_steady - r.a_free)
+        effort = equivalent + mobility.solve(feedback + memory)
         clipped = np.minimum(np.maximum(effort, box.lower), box.upper)
-        denied = r.mobility.dot(effort - clipped)
-        rate = np.where(denied * rate > 0.0, 0.0, mobility.reachable(rate))
+        excess = r.mobility.dot(effort - clipped)  # acceleration beyond the effort limits
+        rate = np.where(excess * rate > 0.0, 0.0, mobility.reachable(rate))
         return Control(effort, s, equivalent, rate, np.zeros(0, dtype=np.bool_))
 
     def loop_gains(self, at_rest: Response, period: float) -> LoopGains:
-        """Describing functions of both parts at |s| = `_width`.
+        """Return the describing functions of both terms at the amplitude `_width` of s.
 
-        A delay makes s swing, by |s| ~ delay^2; up to the tolerable delay it swings less.
+        A delay makes s oscillate with |s| ~ delay^2; up to the tolerable delay it stays below that
+        amplitude.
         """
-        push = _ROOT * self._k1 / np.sqrt(self._width)
+        proportional = _DESCRIBING * self._k1 / np.sqrt(self._width)
         integral = 4.0 / np.pi * self._k2 / self._width
-        return sliding_gains(self._bandwidth, push, integral)
+        return sliding_gains(self._bandwidth, proportional, integral)
 
     def tracking_bound(self, at_rest: Response, period: float) -> Array:
-        """|s| / lambda, with the s that a disturbance of the rate L causes within 1 / lambda."""
+        """Return |s| / lambda for the s that a disturbance of rate L causes within 1 / lambda."""
         return self._width / self._bandwidth
 
     def reaching_time(self, s: Array, excess: Array, effectiveness: float = 1.0) -> float:
-        """A time within which s becomes zero for good, if `disturbance_rate` is a bound.
+        """Return a bound on the reaching time of s = 0, provided that `disturbance_rate` holds.
 
-        Moreno's and Osorio's bound for s / L, whose gains g c1 and g c2 have no unit: their
-        Lyapunov function is not invariant to units, and weak far from L = 1.
+        This is the bound of Moreno and Osorio for s / L, whose gains g c1 and g c2 have no unit;
+        their Lyapunov function depends on units, and its bound is weak far from L = 1.
 
         Args:
-            s: At the start [rad/s or m/s], shape (n,).
-            excess: d + g w at the start [rad/s^2 or m/s^2], shape (n,).
-            effectiveness: g of s' = d - g (k1 |s|^(1/2) sgn s - w), see `Mismatch`.
+            s: Initial sliding variable [rad/s or m/s], shape (n,).
+            excess: Initial d + g w [rad/s^2 or m/s^2], shape (n,).
+            effectiveness: g in s' = d - g (k1 |s|^(1/2) sgn s - w), see `Mismatch`.
 
         Returns:
-            [s]; inf where the Lyapunov function of `reaching_time_bound` proves nothing.
+            Reaching time [s]; inf where the Lyapunov function proves nothing.
         """
         k1, k2, L = effectiveness * self._c1, effectiveness * self._c2, self._limit
         return float(reaching_time_bound(k1, k2, s / L, excess / L, 1.0).max())

@@ -8,10 +8,10 @@ from mbd_ros.methods.estimation.process import Process
 
 
 class ExtendedKalman(KalmanFilter):
-    """The Kalman filter of a mechanism, linearised anew at every sample, see `KalmanFilter`.
+    """Extended Kalman filter: a `KalmanFilter` that linearises the mechanism at every sample.
 
     Args:
-        iterations: Linearisations a measurement.
+        iterations: Number of linearisations per measurement.
     """
 
     example = {"iterations": 1}

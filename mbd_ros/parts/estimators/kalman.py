@@ -6,7 +6,9 @@ from mbd_ros.methods.estimation.process import LinearProcess
 
 
 class Kalman(KalmanFilter):
-    """The estimate of least variance for x_k+1 = A x_k + B u_k + G w_k, y_k = C x_k + n_k.
+    """Kalman filter: minimum-variance estimate of a linear process.
+
+        x_k+1 = A x_k + B u_k + G w_k,   y_k = C x_k + n_k
 
     Source: R. E. Kalman, J. Basic Engineering 82 (1960).
 
@@ -18,5 +20,7 @@ class Kalman(KalmanFilter):
 
     def __init__(self, process: LinearProcess) -> None:
         if not isinstance(process, LinearProcess):
-            raise ModelError("kalman takes a LinearProcess; accepted for others: extended_kalman")
+            raise ModelError(
+                "kalman needs a LinearProcess; use extended_kalman for other processes"
+            )
         super().__init__(process)

@@ -15,15 +15,15 @@ from mbd_ros.errors import ModelError
 class AppliedWrench(Load):
     """Constant force and torque at a point of a link: tau = J' (force, torque).
 
-    The point travels with the link. In world axes the load keeps its direction, in those of the
-    frame it turns with the link (a thruster).
+    The point moves with the link. Expressed in the axes of the world, the wrench keeps its
+    direction; expressed in the axes of the frame, it turns with the link, as that of a thruster.
 
     Args:
-        frame: Link (or frame) that carries the load.
-        force: In the axes of `expressed_in`, shape (3,).
-        torque: In the same axes, shape (3,).
-        point: Where the force acts, in `frame`, shape (3,).
-        expressed_in: Axes of force and torque: `world`, or `frame` for those of the link.
+        frame: Link (or frame) that the wrench acts on.
+        force: Force in the axes of `expressed_in`, shape (3,).
+        torque: Torque in the axes of `expressed_in`, shape (3,).
+        point: Point of `frame` at which the force acts, shape (3,).
+        expressed_in: Axes of force and torque: `world`, or `frame` for the axes of the link.
 
     Raises:
         ModelError: Unknown frame, or one that cannot move.
@@ -43,28 +43,29 @@ class AppliedWrench(Load):
         expressed_in: Literal["world", "frame"] = "world",
     ) -> None:
         self._point = robot.point(frame, point)
-        self._turns = expressed_in == "frame"
+        self._follows_link = expressed_in == "frame"
         if not self._point.moves:
-            raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
+            raise ModelError(f"frame '{frame}' cannot move, so a wrench on it has no effect")
         self._wrench = np.array([*force, *torque])
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        jacobian = k.own_jacobian if self._turns else k.spatial_jacobian
+        """Return the generalized force, shape (nv,)."""
+        jacobian = k.local_jacobian if self._follows_link else k.spatial_jacobian
         tau: Array = k.dot(self._wrench, jacobian(self._point))
         return tau
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The load on the link."""
-        axes = k.rotation(self._point) if self._turns else np.eye(3)
+        """Return the wrench on the link."""
+        axes = k.rotation(self._point) if self._follows_link else np.eye(3)
         force, torque = axes.dot(self._wrench[:3]), axes.dot(self._wrench[3:])
         return (Wrench(self._point.frame, k.position(self._point), force, torque),)
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy whose slope a force of constant direction is, -force . point [J].
+        """Return the potential energy of a force of constant direction, -force . point [J].
 
-        Zero for a load that turns with the link; the torque has none in three dimensions.
+        It is zero for a wrench that turns with the link. A constant torque has no potential in
+        three dimensions and is not counted.
         """
-        if self._turns:
+        if self._follows_link:
             return 0.0
         return -k.dot(self._wrench[:3], k.position(self._point))

@@ -1,4 +1,4 @@
-"""A force or a torque on a link that is an input."""
+"""Force or torque on a link whose magnitude is an input."""
 
 import math
 from typing import Annotated, Literal
@@ -16,18 +16,18 @@ _SHORTEST = 1.0e-9
 
 
 class BodyForce(Load):
-    """Force u along a direction at a point of a link, or torque u about it.
+    """Force u at a point of a link along a direction, or torque u about that direction.
 
-    Another link may take the opposite torque. No inertia and no delay.
+    A torque can act between two links. Inertia and delay of the actuator are left out.
 
     Args:
-        frame: Link (or frame) that carries the load.
-        direction: Of the force, or axis of the torque, of any length.
-        kind: What the input is: `force` [N] or `torque` [N·m].
-        point: Where a force acts, in `frame`, shape (3,).
-        expressed_in: Axes of the direction: those of `frame`, or `world`.
-        against: Link (or frame) that takes the opposite torque; none by default.
-        limit: Largest force or torque; without it there is none.
+        frame: Link (or frame) that the load acts on.
+        direction: Direction of the force, or axis of the torque, of any length.
+        kind: Meaning of the input: `force` [N] or `torque` [N·m].
+        point: Point of `frame` at which a force acts, shape (3,).
+        expressed_in: Axes of `direction`: those of `frame`, or `world`.
+        against: Link (or frame) that the opposite torque acts on; none by default.
+        limit: Largest force or torque; unlimited by default.
 
     Raises:
         ModelError: Unknown frame, a direction of no length, or links that do not move.
@@ -54,53 +54,57 @@ class BodyForce(Load):
         if length < _SHORTEST:
             raise ModelError(f"direction {list(direction)} has no length")
         if not (self._point.moves or (self._other is not None and self._other.moves)):
-            raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
+            raise ModelError(f"frame '{frame}' cannot move, so a load on it has no effect")
         along, none = np.array(direction) / length, np.zeros(3)
         is_torque = kind == "torque"
-        self._load = np.concatenate((none, along) if is_torque else (along, none))
-        self._turns = expressed_in == "frame"
+        self._direction = np.concatenate((none, along) if is_torque else (along, none))
+        self._follows_link = expressed_in == "frame"
         self._limit = limit
         self.inputs = (Channel("", "N·m" if is_torque else "N", -limit, limit),)
 
     @staticmethod
     def check(kind: str, against: str | None) -> None:
-        """Refuse a force that two links share."""
+        """Refuse a force between two links."""
         if against is not None and kind == "force":
-            raise ModelError("against goes with kind: torque; a path_force acts on two links")
+            raise ModelError(
+                "against is accepted with kind: torque only; use a path_force for a force between "
+                "two links"
+            )
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        tau: Array = self._slopes(k) * self._asked(k, u)
+        """Return the generalized force, shape (nv,)."""
+        tau: Array = self._generalized_direction(k) * self._magnitude(k, u)
         return tau
 
     def columns(self, k: Kinematics, x: State) -> Array:
-        """What 1 N or 1 N·m exerts on the joints, shape (nv, 1)."""
-        columns: Array = self._slopes(k).reshape(-1, 1)
+        """Return the generalized force of 1 N or 1 N·m, shape (nv, 1)."""
+        columns: Array = self._generalized_direction(k).reshape(-1, 1)
         return columns
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The load on each of its links."""
-        axes = k.rotation(self._point) if self._turns else np.eye(3)
-        load, at = self._load * self._asked(k, u), k.position(self._point)
+        """Return the wrenches on its one or two links."""
+        axes = k.rotation(self._point) if self._follows_link else np.eye(3)
+        load, at = self._direction * self._magnitude(k, u), k.position(self._point)
         force, torque = axes.dot(load[:3]), axes.dot(load[3:])
-        own = Wrench(self._point.frame, at, force, torque)
+        wrench = Wrench(self._point.frame, at, force, torque)
         if self._other is None:
-            return (own,)
-        return own, Wrench(self._other.frame, at, -force, -torque)
+            return (wrench,)
+        return wrench, Wrench(self._other.frame, at, -force, -torque)
 
-    def _asked(self, k: Kinematics, u: Array) -> float:
-        asked = u[self.u]
+    def _magnitude(self, k: Kinematics, u: Array) -> float:
+        """Return the input within its limit [N or N·m]."""
+        magnitude = u[self.u]
         if self._limit < math.inf:
-            asked = k.within(asked, -self._limit, self._limit)
-        return k.item(asked, 0)
+            magnitude = k.within(magnitude, -self._limit, self._limit)
+        return k.item(magnitude, 0)
 
-    def _slopes(self, k: Kinematics) -> Array:
-        """J' along the direction, of both links, shape (nv,)."""
-        jacobian = k.own_jacobian if self._turns else k.spatial_jacobian
-        slopes: Array = k.dot(self._load, jacobian(self._point))
+    def _generalized_direction(self, k: Kinematics) -> Array:
+        """Return J' times the direction, summed over both links, shape (nv,)."""
+        jacobian = k.local_jacobian if self._follows_link else k.spatial_jacobian
+        tau: Array = k.dot(self._direction, jacobian(self._point))
         if self._other is None:
-            return slopes
-        load = self._load
-        if self._turns:
-            load = k.carried(load, self._point, self._other)
-        return slopes - k.dot(load, jacobian(self._other))
+            return tau
+        direction = self._direction
+        if self._follows_link:
+            direction = k.transform_wrench(direction, self._point, self._other)
+        return tau - k.dot(direction, jacobian(self._other))

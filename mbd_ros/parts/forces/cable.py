@@ -1,4 +1,4 @@
-"""Cable that pulls and never pushes."""
+"""Elastic cable that pulls and never pushes."""
 
 from typing import Annotated
 
@@ -11,18 +11,18 @@ from mbd_ros.core.state import Array, State
 
 
 class Cable(PathLoad):
-    """Massless elastic cable without friction along a path of length l.
+    """Elastic cable without mass and friction along a path of length l.
 
         F = max(0, stiffness s + damping s')  where the stretch s = l - slack_length > 0, else 0
 
-    It is slack at s <= 0, and the damper never pushes: a cable that shortens fast enough carries
-    no force. With damping F jumps where the cable becomes taut.
+    The cable never pushes: if it shortens fast enough, its damper cancels the tension. With
+    damping, F jumps where the cable becomes taut.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        stiffness: Of the whole cable.
-        damping: Of the whole cable.
-        slack_length: Length below which it is slack.
+        path: Route of the cable: the name of a path of the scene, or the entry of a path.
+        stiffness: Stiffness of the whole cable.
+        damping: Damping of the whole cable.
+        slack_length: Length up to which the cable is slack.
     """
 
     example = {
@@ -53,12 +53,12 @@ class Cable(PathLoad):
         self._slack = slack_length
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
-        """The F [N]."""
+        """Return the tension F [N]."""
         stretch = length - self._slack
         pull = k.maximum(self._stiffness * stretch + self._damping * speed, 0.0)
         return k.where(stretch > 0.0, pull, 0.0)
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the stretch, zero while it is slack [J]."""
+        """Return the elastic energy [J], which is zero while the cable is slack."""
         stretch = k.maximum(self.path.length(k, x) - self._slack, 0.0)
         return 0.5 * self._stiffness * stretch * stretch

@@ -1,4 +1,4 @@
-"""Friction, offset and rotor inertia of a drive, as identification finds them."""
+"""Friction, torque offset and rotor inertia of a drive, as identification estimates them."""
 
 from collections.abc import Mapping
 from typing import Annotated
@@ -14,25 +14,27 @@ from mbd_ros.errors import ModelError
 
 
 class GearFriction(Load):
-    """tau = offset - viscous v - (coulomb + load |g| + stribeck / (1 + (v / v_s)^2)) s.
+    """Friction of a drive with Stribeck effect and load dependence, and its rotor inertia.
 
-    s = tanh(v / smoothing), g the torque that holds the robot still at its position. The rotor
-    adds its inertia to the joint. No stiction: a joint at rest creeps.
+        tau = offset - viscous v - (coulomb + load |g| + stribeck / (1 + (v / v_s)^2)) s
 
-    A motor in a wrist may turn with several joints, as behind bevel gears: v is then its speed
-    v_joint + sum ratio v_other, and the other joints feel `ratio` times its friction.
+    s = tanh(v / smoothing), and g is the torque that holds the robot still in its configuration.
+    The rotor adds its inertia to the joint. Stiction is left out: a loaded joint at rest creeps.
+
+    In a wrist with bevel gears, several joints may turn one motor. Then v is the speed of that
+    motor, v_joint + sum ratio v_other, and the other joints feel `ratio` times its friction.
 
     Args:
         joint: Joint of the drive.
-        also: Other joints that turn its motor, and how far it turns with them [motor angle for
-            a unit of theirs over that for a unit of `joint`].
-        coulomb: Dry friction.
-        load: Dry friction for a unit of the torque that carries the weight.
-        stribeck: Dry friction that motion takes away.
-        stribeck_velocity: v_s, at which half of that is gone.
-        viscous: Viscous friction.
-        offset: What acts besides, such as the offset of a torque sensor with the other sign.
-        rotor_inertia: At the joint, behind the gear.
+        also: Other joints that turn the motor: joint -> ratio of the motor angle for a unit of
+            that joint to the motor angle for a unit of `joint`.
+        coulomb: Coulomb friction.
+        load: Coulomb friction per unit of the torque that carries the weight.
+        stribeck: Additional dry friction at rest, which decreases with the speed.
+        stribeck_velocity: Velocity v_s at which `stribeck` has decreased by half.
+        viscous: Viscous friction coefficient.
+        offset: Constant torque, such as the negative offset of a torque sensor.
+        rotor_inertia: Inertia of the rotor, referred to the joint side of the gear.
         smoothing: Velocity at which 76 % of the dry friction is reached.
 
     Source: D. P. Hess, A. Soom, J. Tribology 112, 1990, 147 (the curve of Stribeck).
@@ -59,40 +61,40 @@ class GearFriction(Load):
         self._coulomb = coulomb
         self._load = load
         self._stribeck = stribeck
-        self._at = stribeck_velocity
+        self._stribeck_velocity = stribeck_velocity
         self._viscous = viscous
         self._offset = offset
         self._inertia = rotor_inertia
         self._smoothing = smoothing
         self._nv = int(robot.model.nv)
-        self._also = [(robot.joint(name).v, ratio) for name, ratio in also.items()]
+        self._other_joints = [(robot.joint(name).v, ratio) for name, ratio in also.items()]
         self.brings = ("friction", "damping")
 
     @staticmethod
     def check(joint: str, also: Mapping[str, float], load: float, rotor_inertia: float) -> None:
-        """Refuse a motor of several joints with what is known of one joint alone."""
+        """Refuse load friction and rotor inertia for a motor that several joints turn."""
         if joint in also:
-            raise ModelError(f"also: {joint} is the joint of the drive")
+            raise ModelError(f"also names '{joint}', which is the joint of the drive already")
         if also and (load or rotor_inertia):
-            raise ModelError("load and rotor_inertia are those of a motor that one joint turns")
+            raise ModelError("load and rotor_inertia are not accepted together with also")
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        tau, at = k.zeros(self._nv), self.joint.v
-        rate = k.item(x.v, at)
-        for other, ratio in self._also:
-            rate = rate + ratio * k.item(x.v, other)
-        weight = k.item(k.gravity(x.q), at)
-        carried = k.maximum(weight, -weight)
-        ratio = rate / self._at
-        dry = self._coulomb + self._load * carried + self._stribeck / (1.0 + ratio * ratio)
-        tau[at] = self._offset - self._viscous * rate - dry * k.tanh(rate / self._smoothing)
-        for other, ratio in self._also:
-            tau[other] = ratio * tau[at]
+        """Return the generalized force, shape (nv,)."""
+        tau, i = k.zeros(self._nv), self.joint.v
+        speed = k.item(x.v, i)
+        for other, ratio in self._other_joints:
+            speed = speed + ratio * k.item(x.v, other)
+        weight = k.item(k.gravity(x.q), i)
+        load = k.maximum(weight, -weight)
+        ratio = speed / self._stribeck_velocity
+        dry = self._coulomb + self._load * load + self._stribeck / (1.0 + ratio * ratio)
+        tau[i] = self._offset - self._viscous * speed - dry * k.tanh(speed / self._smoothing)
+        for other, ratio in self._other_joints:
+            tau[other] = ratio * tau[i]
         return tau
 
     def armature(self) -> Array:
-        """Inertia of the rotor at the joint [kg·m^2 or kg], shape (nv,)."""
-        inertia = [0.0] * self._nv  # a list, which holds symbols, too
+        """Return the inertia of the rotor at its joint [kg·m^2 or kg], shape (nv,)."""
+        inertia = [0.0] * self._nv  # a list, since it can also contain symbols
         inertia[self.joint.v] = self._inertia
         return np.array(inertia)

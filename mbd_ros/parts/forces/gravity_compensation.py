@@ -16,14 +16,14 @@ ALL = "all"
 
 
 class GravityCompensation(Load):
-    """tau = factor g(q) on the named joints, g being the torque that holds the robot still.
+    """Ideal gravity compensation: tau = factor g(q) on the named joints.
 
-    It knows the masses exactly and needs no time to act. Nothing acts on a free base. Its work
-    does not count as stored energy.
+    g is the torque that holds the robot still. The compensation uses the exact masses and acts
+    without delay. It exerts nothing on a floating base. Its work does not count as stored energy.
 
     Args:
-        joints: Joints that are compensated; `[all]` for every joint.
-        factor: Share of the weight that is carried.
+        joints: Compensated joints, or `[all]`.
+        factor: Fraction of the weight that is carried.
 
     Raises:
         ModelError: No joint, or an unknown or repeated one.
@@ -42,11 +42,11 @@ class GravityCompensation(Load):
         names = every if list(joints) == [ALL] and ALL not in every else list(joints)
         if not names or len(set(names)) != len(names):
             raise ModelError(f"joints {list(joints)} must be [{ALL}] or different joints")
-        chosen = np.zeros(int(robot.model.nv))
-        chosen[[robot.joint(name).v for name in names]] = 1.0
-        self._gain = chosen * factor
+        selection = np.zeros(int(robot.model.nv))
+        selection[[robot.joint(name).v for name in names]] = 1.0
+        self._gain = selection * factor
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         tau: Array = self._gain * k.gravity(x.q)
         return tau

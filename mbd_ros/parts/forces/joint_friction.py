@@ -1,4 +1,4 @@
-"""Dry and viscous friction in a joint, regularised."""
+"""Regularised Coulomb friction and viscous friction in a joint."""
 
 from typing import Annotated
 
@@ -10,12 +10,14 @@ from mbd_ros.core.state import Array, State
 
 
 class JointFriction(Load):
-    """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
+    """Friction of a joint: tau = -coulomb tanh(v / smoothing) - viscous v.
+
+    Stiction is left out: a loaded joint at rest creeps. `dry_friction` holds it exactly.
 
     Args:
-        joint: Joint that rubs.
-        coulomb: Dry friction.
-        viscous: Viscous friction.
+        joint: Joint with friction.
+        coulomb: Coulomb friction.
+        viscous: Viscous friction coefficient.
         smoothing: Velocity at which 76 % of the dry friction is reached.
     """
 
@@ -35,11 +37,11 @@ class JointFriction(Load):
         self._viscous = viscous
         self._smoothing = smoothing
         self._nv = int(robot.model.nv)
-        given = {"friction": coulomb, "damping": viscous}
-        self.brings = tuple(key for key, value in given.items() if not is_value(value, 0.0))
+        coefficients = {"friction": coulomb, "damping": viscous}
+        self.brings = tuple(k for k, value in coefficients.items() if not is_value(value, 0.0))
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force of the friction, shape (nv,)."""
+        """Return the generalized force of the friction, shape (nv,)."""
         tau = k.zeros(self._nv)
         rate = k.item(x.v, self.joint.v)
         dry = self._coulomb * k.tanh(rate / self._smoothing)

@@ -10,13 +10,15 @@ from mbd_ros.core.state import Array, State
 
 
 class JointSpring(Load):
-    """Linear spring and damper: tau = stiffness (rest - q) - damping v. No limits, no backlash.
+    """Linear spring and damper in a joint: tau = stiffness (rest - q) - damping v.
+
+    It has no limits and no backlash.
 
     Args:
-        joint: Joint that carries the spring.
-        stiffness: Of the spring.
-        rest: Position without force.
-        damping: Of the damper.
+        joint: Joint that the spring acts on.
+        stiffness: Stiffness of the spring.
+        rest: Joint position at which the spring exerts no force.
+        damping: Damping coefficient.
     """
 
     example = {"joint": "ankle", "stiffness": 30.0, "rest": 0.1, "damping": 0.5}
@@ -32,19 +34,19 @@ class JointSpring(Load):
     ) -> None:
         self.joint = robot.joint(joint)
         self._stiffness = stiffness
-        self._rest = rest
+        self._neutral = rest
         self._damping = damping
         self._nv = int(robot.model.nv)
         self.brings = () if is_value(damping, 0.0) else ("damping",)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force of the spring, shape (nv,)."""
+        """Return the generalized force of spring and damper, shape (nv,)."""
         tau = k.zeros(self._nv)
-        stretch, rate = k.item(x.q, self.joint.q) - self._rest, k.item(x.v, self.joint.v)
+        stretch, rate = k.item(x.q, self.joint.q) - self._neutral, k.item(x.v, self.joint.v)
         tau[self.joint.v] = -self._stiffness * stretch - self._damping * rate
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the spring, zero at rest [J]."""
-        stretch = k.item(x.q, self.joint.q) - self._rest
+        """Return the energy of the spring [J]."""
+        stretch = k.item(x.q, self.joint.q) - self._neutral
         return 0.5 * self._stiffness * stretch * stretch

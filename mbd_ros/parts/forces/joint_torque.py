@@ -10,11 +10,11 @@ from mbd_ros.core.state import Array, State
 
 
 class JointTorque(Load):
-    """Constant torque, or force on a prismatic joint: tau = torque.
+    """Constant torque on a joint, or force on a prismatic one: tau = torque.
 
     Args:
-        joint: Joint that it acts on.
-        torque: Along the positive joint axis.
+        joint: Joint that the torque acts on.
+        torque: Torque or force, positive along the joint axis.
     """
 
     example = {"joint": "ankle", "torque": 5.0}
@@ -27,11 +27,11 @@ class JointTorque(Load):
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         tau = k.zeros(self._nv)
         tau[self.joint.v] = self._torque
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy whose slope the torque is, zero at q = 0 [J]."""
+        """Return the potential energy -torque q, zero at q = 0 [J]."""
         return -self._torque * k.item(x.q, self.joint.q)

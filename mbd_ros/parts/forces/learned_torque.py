@@ -1,4 +1,4 @@
-"""Torque that a model has learned beside the equations of motion."""
+"""Torque of a neural network that was trained on what the equations of motion do not explain."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -12,7 +12,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, install_hint
-from mbd_ros.methods.learned import (
+from mbd_ros.methods.learned_model import (
     FADE,
     LARGEST,
     About,
@@ -30,25 +30,27 @@ _TORQUE, _SPREAD, _INERTIA = "torque", "spread", "inertia"
 
 
 class LearnedTorque(Load):
-    """f = -s(q, v) r(q, v) - s(q) M(q) a - c(q, v, a): what drives need beside the equations.
+    """Learned difference between measured torques and the equations of motion.
 
-    The network is a file of `mbd-ros learn` and belongs to the robot that it was learned on. M is
-    there in structured models only. s is 1 where the network has learned and fades to 0 outside of
-    that box of positions and velocities. c are corrections of inertias, friction and stiffness,
-    which adapted models have; they hold everywhere, as physics does. It knows nothing of
-    temperature or wear.
+        f = -s(q, v) r(q, v) - s(q) M(q) a - c(q, v, a)
+
+    r and M are outputs of a neural network, which `mbd-ros learn` trains and writes to a file. A
+    file belongs to the robot that it was trained on; only structured models have M. The weight s
+    is 1 inside the box of positions and velocities that the training data covered and fades to 0
+    outside of it. Adapted models also have corrections c of inertias, friction and stiffness,
+    which hold everywhere. Effects of temperature and wear are left out.
 
     Args:
-        model: File of `mbd-ros learn`, relative to the scene.
-        fade: Width in which it fades, over half of what a position or velocity spanned.
+        model: File that `mbd-ros learn` has written, relative to the scene.
+        fade: Width of the range in which s fades, relative to half of the trained range.
 
     Attributes:
         file: Name of the file.
-        said: What it says of itself.
+        description: Description of the network that the file contains.
 
     Raises:
-        ModelError: The file is damaged, of another version, or of another robot; or onnxruntime
-            is not installed.
+        ModelError: The file is damaged, has another version or belongs to another robot; or
+            onnxruntime is not installed.
     """
 
     example = {"model": "package://mbd_ros/config/learned/prosthetic_leg.onnx"}
@@ -61,82 +63,91 @@ class LearnedTorque(Load):
         model: LearnedFile,
         fade: Annotated[Positive, Unit("-")] = FADE,
     ) -> None:
-        self.file, self.said = model.name, (said := about(model))
-        check_robot(model.name, said, robot)
-        self.joints = said.joints
+        description = about(model)
+        self.file = model.name
+        self.description = description
+        check_robot(model.name, description, robot)
+        self.joints = description.joints
         self._nv = int(robot.model.nv)
-        joints = [robot.joint(name) for name in said.joints]
+        joints = [robot.joint(name) for name in description.joints]
         self._q = [joint.q for joint in joints]
         self._v = [joint.v for joint in joints]
-        self._box = np.ix_(self._v, self._v)
-        self._range = TrainingRange(said.low, said.high, fade)
+        self._matrix_entries = np.ix_(self._v, self._v)
+        self._range = TrainingRange(description.low, description.high, fade)
         m = len(joints)
-        self._places = TrainingRange(said.low[:m], said.high[:m], fade)
-        self._session = _session(model, said)
-        self._has_matrix = said.kind == "structured"
-        self._corrections = Corrections(robot, said.bodies, said.friction, said.stiffness)
+        self._position_range = TrainingRange(description.low[:m], description.high[:m], fade)
+        self._session = _session(model, description)
+        self._has_matrix = description.kind == "structured"
+        self._corrections = Corrections(
+            robot, description.bodies, description.friction, description.stiffness
+        )
         self.has_inertia = self._has_matrix or self._corrections.has_inertia
         self._titles = [
-            *(f"position of {name}" for name in said.joints),
-            *(f"velocity of {name}" for name in said.joints),
+            *(f"position of {name}" for name in description.joints),
+            *(f"velocity of {name}" for name in description.joints),
         ]
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         tau = -self._corrections.torque(x.q, x.v)
         values = self._values(x)
         share = self._range.share(values)
         if share > 0.0:
-            tau[self._v] -= share * self._asked(values, _TORQUE)
+            tau[self._v] -= share * self._run_network(values, _TORQUE)
         return tau
 
     def inertia(self, k: Kinematics, x: State) -> Array:
-        """M on the joints, shape (nv, nv); it fades with positions alone, of which it is one."""
-        found, m = np.zeros((self._nv, self._nv)), len(self._q)
+        """Return the inertia that acts on the joints, shape (nv, nv).
+
+        M fades with the positions alone, since it is a function of them.
+        """
+        inertia, m = np.zeros((self._nv, self._nv)), len(self._q)
         if self._corrections.has_inertia:
-            found = self._corrections.inertia(x.q)
+            inertia = self._corrections.inertia(x.q)
         values = self._values(x)
-        share = self._places.share(values[:m]) if self._has_matrix else 0.0
+        share = self._position_range.share(values[:m]) if self._has_matrix else 0.0
         if share > 0.0:
-            found[self._box] += share * self._asked(values, _INERTIA)
-        return found
+            inertia[self._matrix_entries] += share * self._run_network(values, _INERTIA)
+        return inertia
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of corrected inertias in gravity [J]."""
+        """Return the energy of the corrected inertias in gravity [J]."""
         return self._corrections.potential(x.q)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Trust, and the largest standard deviation of a torque among the networks."""
+        """Return s, and the largest standard deviation of a torque among the networks."""
         values = self._values(x)
-        spread = float(self._asked(values, _SPREAD).max())
+        spread = float(self._run_network(values, _SPREAD).max())
         return self._range.share(values), spread
 
     def doubt(self, x: State) -> str:
-        """Which position or velocity is outside of what was learned from."""
+        """Name the position or velocity that is farthest outside of the trained range, or ""."""
         values = self._values(x)
         beyond = self._range.beyond(values)
         if not beyond.any():
             return ""
-        far = self._titles[int(np.argmax(beyond))]
+        farthest = self._titles[int(np.argmax(beyond))]
         share = 100.0 * self._range.share(values)
-        return f"{self.name}: {far} is outside of what was learned from, {share:.0f} % of it acts"
+        return (
+            f"{self.name}: {farthest} is outside of the trained range, {share:.0f} % of the "
+            "learned torque acts"
+        )
 
     def _values(self, x: State) -> Array:
         return np.array([*x.q[self._q], *x.v[self._v]], dtype=np.float64)
 
-    def _asked(self, values: Array, output: str) -> Array:
+    def _run_network(self, values: Array, output: str) -> Array:
         m = len(self._q)
         inputs = dict(zip(_INPUTS, (values[:m], values[m:]), strict=True))
-        (found,) = self._session.run([output], inputs)
-        result: Array = found
-        return result
+        results: list[Array] = self._session.run([output], inputs)
+        return results[0]
 
 
-def _session(model: LearnedFile, said: About) -> Any:
-    """The network, ready to be asked; one thread, since threads cost more than it takes.
+def _session(model: LearnedFile, description: About) -> Any:
+    """Load the network; it runs in one thread, since it is too small to gain from more.
 
     Raises:
-        ModelError: It is no network of this form, or onnxruntime is not installed.
+        ModelError: The file is not a network of this form, or onnxruntime is not installed.
     """
     try:
         import onnxruntime
@@ -144,7 +155,9 @@ def _session(model: LearnedFile, said: About) -> Any:
     except ImportError as error:
         raise ModelError(install_hint("onnxruntime")) from error
     if len(model.content) > LARGEST:
-        raise ModelError(f"{model.name}: {len(model.content)} bytes, accepted are {LARGEST}")
+        raise ModelError(
+            f"{model.name}: has {len(model.content)} bytes, at most {LARGEST} are accepted"
+        )
     check_graph(model.name, model.content)
     _bound_memory(onnxruntime)
     options = onnxruntime.SessionOptions()
@@ -157,29 +170,29 @@ def _session(model: LearnedFile, said: About) -> Any:
         session = onnxruntime.InferenceSession(
             model.content, options, providers=["CPUExecutionProvider"]
         )
-        _check_answer(session, said)
+        _check_answer(session, description)
     except (*refused, ValueError, RuntimeError) as error:
-        raise ModelError(f"{model.name}: the network cannot be asked: {error}") from error
+        raise ModelError(f"{model.name}: the network cannot be evaluated: {error}") from error
     return session
 
 
 @cache
 def _bound_memory(onnxruntime: Any) -> None:
-    """Bound what all networks of this process take: small numbers can have large products."""
+    """Limit the memory of all networks of this process; a small file can describe huge arrays."""
     kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
     place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
     arena = onnxruntime.OrtArenaCfg({"max_mem": _MOST_MEMORY})
     onnxruntime.create_and_register_allocator(place, arena)
 
 
-def _check_answer(session: Any, said: About) -> None:
-    """Refuse a network that does not answer in the shapes of its joints."""
-    m = len(said.joints)
+def _check_answer(session: Any, description: About) -> None:
+    """Refuse a network whose outputs do not have the shapes of its joints."""
+    m = len(description.joints)
     shapes = {_TORQUE: (m,), _SPREAD: (m,)}
-    if said.kind == "structured":
+    if description.kind == "structured":
         shapes[_INERTIA] = (m, m)
-    middle = 0.5 * (said.low + said.high)
+    middle = 0.5 * (description.low + description.high)
     inputs = dict(zip(_INPUTS, (middle[:m], middle[m:]), strict=True))
-    for (name, shape), found in zip(shapes.items(), session.run([*shapes], inputs), strict=True):
-        if found.shape != shape or found.dtype != np.float64 or not np.isfinite(found).all():
-            raise ValueError(f"its output '{name}' is not {shape} finite numbers")
+    for (name, shape), value in zip(shapes.items(), session.run([*shapes], inputs), strict=True):
+        if value.shape != shape or value.dtype != np.float64 or not np.isfinite(value).all():
+            raise ValueError(f"its output '{name}' must be finite numbers of shape {shape}")

@@ -1,4 +1,4 @@
-"""A tension along a path that is an input."""
+"""Tension along a path that is an input."""
 
 import math
 from typing import Annotated
@@ -13,13 +13,14 @@ from mbd_ros.core.state import Array, State
 
 
 class PathForce(PathLoad):
-    """Tension along a path as it is asked for: F = u, at most `limit` in either direction.
+    """Commanded tension along a path: F = u, at most `limit` in either direction.
 
-    Positive values shorten the path, negative ones push it apart. No inertia, friction or delay.
+    A positive tension shortens the path, a negative one lengthens it. Inertia, friction and delay
+    are left out.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        limit: Largest tension; without it there is none.
+        path: Route of the force: the name of a path of the scene, or the entry of a path.
+        limit: Largest tension; unlimited by default.
     """
 
     example = {
@@ -35,14 +36,14 @@ class PathForce(PathLoad):
         self.inputs = (Channel("", "N", -limit, limit),)
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
-        """The F [N]."""
-        asked = u[self.u]
+        """Return the tension F [N]."""
+        tension = u[self.u]
         if self._limit < math.inf:
-            asked = k.within(asked, -self._limit, self._limit)
-        return k.item(asked, 0)
+            tension = k.within(tension, -self._limit, self._limit)
+        return k.item(tension, 0)
 
     def columns(self, k: Kinematics, x: State) -> Array:
-        """Moment arms -J', shape (nv, 1)."""
-        _, slope = self.path.measured(k, x)
-        columns: Array = -slope.reshape(-1, 1)
+        """Return the moment arms -J', shape (nv, 1)."""
+        _, jacobian = self.path.measured(k, x)
+        columns: Array = -jacobian.reshape(-1, 1)
         return columns

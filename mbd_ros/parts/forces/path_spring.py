@@ -1,4 +1,4 @@
-"""Spring along a path whose damping grows with its tension."""
+"""Spring along a path whose damping is proportional to its tension."""
 
 from typing import Annotated
 
@@ -15,16 +15,16 @@ class PathSpring(PathLoad):
 
         F = stiffness s (1 + dissipation l')  where the stretch s = l - resting_length > 0, else 0
 
-    F is continuous where it becomes taut, unlike that of a `cable` with damping; it pushes where
-    the path shortens faster than 1 / dissipation.
+    Unlike the force of a `cable` with damping, F is continuous where the spring becomes taut. The
+    spring pushes while the path shortens faster than 1 / dissipation.
 
     Source: OpenSim's PathSpring; A. Seth et al., PLoS Comput. Biol. 14, 2018, e1006223.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        stiffness: Of the whole spring.
-        resting_length: Length below which it is slack.
-        dissipation: Share of the tension that a speed adds.
+        path: Route of the spring: the name of a path of the scene, or the entry of a path.
+        stiffness: Stiffness of the whole spring.
+        resting_length: Length up to which the spring is slack.
+        dissipation: Relative increase of the tension per speed of lengthening.
     """
 
     example = {
@@ -45,15 +45,15 @@ class PathSpring(PathLoad):
     ) -> None:
         super().__init__(path)
         self._stiffness = stiffness
-        self._rest = resting_length
-        self._share = dissipation
+        self._resting_length = resting_length
+        self._dissipation = dissipation
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
-        """The F [N]."""
-        stretch = k.maximum(length - self._rest, 0.0)
-        return self._stiffness * stretch * (1.0 + self._share * speed)
+        """Return the tension F [N]."""
+        stretch = k.maximum(length - self._resting_length, 0.0)
+        return self._stiffness * stretch * (1.0 + self._dissipation * speed)
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the stretch, zero while it is slack [J]."""
-        stretch = k.maximum(self.path.length(k, x) - self._rest, 0.0)
+        """Return the elastic energy [J], which is zero while the spring is slack."""
+        stretch = k.maximum(self.path.length(k, x) - self._resting_length, 0.0)
         return 0.5 * self._stiffness * stretch * stretch

@@ -12,22 +12,22 @@ from mbd_ros.core.state import Array, State
 
 
 class PointSpring(PathLoad):
-    """Massless spring and damper between two points at the distance d.
+    """Massless spring and damper between two points at distance d.
 
         F = stiffness (d - length) + damping d',   tau = -F grad d
 
-    It pulls the points together where F > 0 and pushes them apart where F < 0 (it does not go
-    slack as a cable does). With d = 0 the line has no direction, and F is zero; only for `length`
-    0 and without damping is that the limit of the forces nearby.
+    The spring pulls the points together where F > 0 and pushes them apart where F < 0; it does
+    not become slack as a cable does. At d = 0 the line has no direction, and F is set to zero,
+    which is continuous only if `length` and `damping` are 0.
 
     Args:
-        frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
+        frame_a: Link (or frame) of one end; the root link or `universe` for a fixed point.
         frame_b: Link (or frame) of the other end.
-        point_a: End in `frame_a`, shape (3,).
-        point_b: End in `frame_b`, shape (3,).
-        stiffness: Of the spring.
-        damping: Of the damper.
-        length: Distance without spring force.
+        point_a: End a in `frame_a`, shape (3,).
+        point_b: End b in `frame_b`, shape (3,).
+        stiffness: Stiffness of the spring.
+        damping: Damping coefficient.
+        length: Distance at which the spring exerts no force.
 
     Raises:
         ModelError: Unknown frame, or both ends on one body.
@@ -55,10 +55,10 @@ class PointSpring(PathLoad):
         self._length = length
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
-        """The F [N], negative where it pushes."""
+        """Return F [N], which is negative where the spring pushes."""
         return self._stiffness * (length - self._length) + self._damping * speed
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the spring, zero at its length [J]."""
+        """Return the energy of the spring [J]."""
         stretch = self.path.length(k, x) - self._length
         return 0.5 * self._stiffness * stretch * stretch

@@ -1,4 +1,4 @@
-"""Torques prescribed in time."""
+"""Joint torques that follow a table over time."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -15,12 +15,12 @@ from mbd_ros.errors import ModelError
 
 
 class PrescribedTorque(Load):
-    """Generalized forces from a table in time: linear between samples, zero outside.
+    """Joint torques from a table over time: linear between samples, zero outside of the table.
 
     Args:
-        joints: Driven joints.
-        times: Sample times, increasing, at least two.
-        torque: One row a sample, one column a joint.
+        joints: Joints that the torques act on.
+        times: Times of the samples, increasing, at least two.
+        torque: Torques, one row per sample and one column per joint.
     """
 
     example = {"joints": ["knee"], "times": [0.0, 1.0], "torque": [[1.0], [5.0]]}
@@ -42,17 +42,17 @@ class PrescribedTorque(Load):
     def check(
         joints: Sequence[str], times: Sequence[float], torque: Sequence[Sequence[float]]
     ) -> None:
-        """Refuse a table that is none."""
+        """Refuse times that do not increase, and rows and columns that do not match."""
         if len(times) < 2 or not (np.diff(times) > 0).all():
             raise ModelError("times must be at least two increasing numbers")
         if len(torque) != len(times) or any(len(row) != len(joints) for row in torque):
             raise ModelError(
-                f"torque must have {len(times)} rows, one a time, of {len(joints)} numbers, one a "
-                "joint"
+                f"torque must have {len(times)} rows (one per time) of {len(joints)} numbers "
+                "(one per joint)"
             )
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force at the time of the state, shape (nv,)."""
+        """Return the generalized force at the time of the state, shape (nv,)."""
         tau, times = k.zeros(self._nv), self._times
         if is_symbol(x.t):
             tau[self._index] = between_samples(x.t, times, self._torque)

@@ -16,20 +16,20 @@ from mbd_ros.errors import ModelError
 
 
 class PrescribedWrench(Load):
-    """A wrench read from a table, tau = J' w(t): straight lines between samples.
+    """Wrench on a link from a table over time: tau = J' w(t), linear between samples.
 
-    The load is zero before the first and after the last sample, so it jumps there unless the table
-    begins and ends with zeros. Frame, axes, point and threshold are those of an external wrench:
-    with `expressed_in` at rest, the force stays at one place while the link moves.
+    The wrench is zero before the first and after the last sample, so it jumps there unless the
+    table begins and ends with zeros. If the frame `expressed_in` does not move, the force stays at
+    its place in the world while the link moves.
 
     Args:
-        frame: Link that carries the load.
+        frame: Link that the wrench acts on.
         times: Times of the samples, strictly increasing, shape (n,), n >= 2.
-        wrenches: Force, then torque, one row a sample, shape (n, 6).
-        expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
-            `frame` by default, `universe` for the world of a robot that names none.
-        point: Point that the torque is taken about, in `expressed_in`, shape (3,).
-        threshold: Force norm below which the load counts as zero.
+        wrenches: Force, then torque, one row per sample, shape (n, 6).
+        expressed_in: Frame in whose axes the wrench is given, about its origin if there is no
+            `point`; `frame` by default. `universe` is the world, for robots that do not name it.
+        point: Point in `expressed_in` that the torque is about, shape (3,).
+        threshold: Norm of the force below which the wrench counts as zero.
     """
 
     reads = Reads.JACOBIAN
@@ -57,20 +57,23 @@ class PrescribedWrench(Load):
 
     @staticmethod
     def check(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> None:
-        """Refuse a table that is none."""
+        """Refuse times that do not increase, and another number of wrenches."""
         if len(times) < 2 or not (np.diff(times) > 0).all():
             raise ModelError("times must be at least two increasing numbers")
         if len(wrenches) != len(times):
-            raise ModelError(f"wrenches: {len(wrenches)} rows for {len(times)} times")
+            raise ModelError(
+                f"wrenches has {len(wrenches)} rows, but times has {len(times)}; give one row per "
+                "time"
+            )
 
     def wrench(self, t: float) -> Array:
-        """Force [N] and torque [N·m] of the table at a time [s], shape (6,)."""
+        """Return force [N] and torque [N·m] of the table at a time [s], shape (6,)."""
         return self._table.at(t)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         return self._load.force_of(k, self.wrench(x.t))
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The load on the link, about the origin of the joint that carries it."""
+        """Return the wrench on the link, about the origin of the joint that carries the link."""
         return self._load.wrenches_of(k, self.wrench(x.t))

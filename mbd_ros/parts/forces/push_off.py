@@ -1,4 +1,4 @@
-"""Ankle torque that pushes a leg off the ground late in its stance."""
+"""Ankle torque that pushes a leg off the ground late in stance."""
 
 from typing import Annotated, Literal
 
@@ -13,27 +13,28 @@ from mbd_ros.errors import ModelError
 
 
 class PushOff(Load):
-    """Continuous controller with a memory: a torque on a leg that is past an angle.
+    """Torque on a leg that rises smoothly, with a lag, once a joint has passed an angle.
 
         tau = torque * activation,   s = (q - angle) / width,
         lag activation' = (1 + s / sqrt(1 + s^2)) / 2 - activation
 
-    It acts on `frame` about an axis of the world; `against` takes the opposite torque, such as a
-    foot. Without it the ground does: a foot flat on the ground, without mass and long enough.
+    The torque acts on `frame` about an axis of the world, and the opposite torque on `against`,
+    such as the foot. Without `against`, the opposite torque acts on the ground, as through a foot
+    without mass that is flat on the ground and does not tip.
 
     Args:
-        frame: Leg that is pushed.
-        joint: Joint whose position says how far the stance is; of a leg that hangs on a pelvis
-            which does not turn, its hip.
-        torque: Largest one; its sign is that about `axis`.
-        angle: Position of the joint at which half of it is asked for.
-        width: Over which it grows.
+        frame: Link (or frame) of the leg.
+        joint: Joint whose position measures the progress of stance, such as the hip of a leg on a
+            pelvis that does not rotate.
+        torque: Largest torque; its sign is the direction about `axis`.
+        angle: Joint position at which half of the torque is commanded.
+        width: Range of joint positions over which the command rises.
         lag: Time constant of the activation.
-        axis: Of the world.
-        against: Link (or frame) that takes the opposite torque; the ground by default.
+        axis: Axis of the world about which the torque acts.
+        against: Link (or frame) that the opposite torque acts on; the ground by default.
 
     Raises:
-        ModelError: Unknown joint or frame, or a frame that does not move.
+        ModelError: Unknown joint or frame, or a frame that cannot move.
     """
 
     reads = Reads.JACOBIAN
@@ -59,7 +60,7 @@ class PushOff(Load):
         self._point = robot.point(frame)
         self._other = None if against is None else robot.point(against)
         if not (self._point.moves or (self._other is not None and self._other.moves)):
-            raise ModelError(f"frame '{frame}' does not move, a torque on it changes nothing")
+            raise ModelError(f"frame '{frame}' cannot move, so a torque on it has no effect")
         self._axis = np.eye(6)[3 + "xyz".index(axis)]
         self._torque = torque
         self._angle = angle
@@ -67,40 +68,41 @@ class PushOff(Load):
         self._lag = lag
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        tau: Array = self._slopes(k) * self._given(k, x)
+        """Return the generalized force, shape (nv,)."""
+        tau: Array = self._generalized_axis(k) * self._current_torque(k, x)
         return tau
 
     def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rate of the activation [1/s], shape (1,)."""
-        return k.array([(self._asked(k, x) - k.item(x.z, self.z.start or 0)) / self._lag])
+        """Return the rate of the activation [1/s], shape (1,)."""
+        return k.array([(self._command(k, x) - k.item(x.z, self.z.start or 0)) / self._lag])
 
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array:
-        """The activation that is asked for, shape (1,)."""
-        return k.array([self._asked(k, x)])
+        """Return the commanded activation, shape (1,)."""
+        return k.array([self._command(k, x)])
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The torque on each of its links."""
+        """Return the torques on its one or two links."""
         at, none = k.position(self._point), np.zeros(3)
-        torque = self._axis[3:] * self._given(k, x)
-        own = Wrench(self._point.frame, at, none, torque)
+        torque = self._axis[3:] * self._current_torque(k, x)
+        wrench = Wrench(self._point.frame, at, none, torque)
         if self._other is None:
-            return (own,)
-        return own, Wrench(self._other.frame, at, none, -torque)
+            return (wrench,)
+        return wrench, Wrench(self._other.frame, at, none, -torque)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> tuple[float, ...]:
-        """The torque."""
-        return (self._given(k, x),)
+        """Return the torque [N·m]."""
+        return (self._current_torque(k, x),)
 
-    def _given(self, k: Kinematics, x: State) -> float:
+    def _current_torque(self, k: Kinematics, x: State) -> float:
         return self._torque * k.item(x.z, self.z.start or 0)
 
-    def _asked(self, k: Kinematics, x: State) -> float:
+    def _command(self, k: Kinematics, x: State) -> float:
         s = (k.item(x.q, self.joint.q) - self._angle) / self._width
         return 0.5 * (1.0 + s / k.sqrt(1.0 + s * s))
 
-    def _slopes(self, k: Kinematics) -> Array:
-        slopes: Array = k.dot(self._axis, k.spatial_jacobian(self._point))
+    def _generalized_axis(self, k: Kinematics) -> Array:
+        """Return J' times the axis of the torque, summed over both links, shape (nv,)."""
+        tau: Array = k.dot(self._axis, k.spatial_jacobian(self._point))
         if self._other is None:
-            return slopes
-        return slopes - k.dot(self._axis, k.spatial_jacobian(self._other))
+            return tau
+        return tau - k.dot(self._axis, k.spatial_jacobian(self._other))

@@ -1,4 +1,4 @@
-"""Ground that begins softly, with derivatives of every order: for prediction."""
+"""Ground contact with smooth derivatives of any order, for optimal control."""
 
 from typing import Annotated
 
@@ -15,33 +15,34 @@ _SHORTEST = 1.0e-9
 
 
 class SmoothGround(Load):
-    """A plane that pushes a point of a link, a little before they touch.
+    """Contact of a point of a link with a plane whose force starts smoothly above the plane.
 
         N = stiffness s ln(1 + exp(d / s)) max(0, 1 + dissipation d')
         friction force = -friction N slip / sqrt(|slip|² + creep²)
 
-    d is the depth below the plane, s the `smoothing`. Well below the plane N is stiffness d, a
-    few s above it nothing. At a gap of 0 it is 0.69 stiffness s, so s must be small beside the
-    depth under load; the smaller it is, the shorter are steps and intervals where the point comes
-    and goes. Friction creeps: at a share w of the largest one with about w creep. `compliant`
-    pushes within the depth alone, and has features of bodies.
+    d is the depth below the plane and s is `smoothing`. Well below the plane N is stiffness d, a
+    few s above it N vanishes, and on the plane N is 0.69 stiffness s. So s must be small compared
+    with the depth under load; but the smaller it is, the shorter the time steps and mesh intervals
+    must be where the point touches down and lifts off. Friction creeps: to carry the fraction w of
+    the largest friction, the point slips at about w creep. The part `compliant` exerts forces only
+    below the plane, and models contact of whole bodies.
 
     Source: the factor of dissipation is that of K. H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42,
         1975, 440-445.
 
     Args:
-        frame: Link (or frame) that touches.
-        point: Of it, shape (3,).
-        stiffness: Of the ground.
-        dissipation: Share of the force that a speed of approach adds.
-        smoothing: Depth over which the ground begins.
-        friction: Coefficient of friction.
-        creep: Slip at which friction is 0.71 of its largest.
-        normal: Out of the ground, in axes of the world, of any length.
-        height: Of the plane above the origin of the world, along the normal.
+        frame: Link (or frame) that the point belongs to.
+        point: Contact point in `frame`, shape (3,).
+        stiffness: Stiffness of the ground.
+        dissipation: Relative increase of the force per speed of approach.
+        smoothing: Depth s over which the force sets in.
+        friction: Friction coefficient.
+        creep: Slip velocity at which friction is 71 % of its largest value.
+        normal: Normal that points out of the ground, in the axes of the world, of any length.
+        height: Height of the plane above the origin of the world, along the normal.
 
     Raises:
-        ModelError: Unknown frame, one that does not move, or a normal of no length.
+        ModelError: Unknown frame, a frame that cannot move, or a normal of zero length.
     """
 
     reads = Reads.JACOBIAN
@@ -74,7 +75,7 @@ class SmoothGround(Load):
     ) -> None:
         self._point = robot.point(frame, point)
         if not self._point.moves:
-            raise ModelError(f"frame '{frame}' does not move, ground under it changes nothing")
+            raise ModelError(f"frame '{frame}' cannot move, so ground under it has no effect")
         length = float(np.linalg.norm(normal))
         if length < _SHORTEST:
             raise ModelError(f"normal {list(normal)} has no length")
@@ -87,29 +88,29 @@ class SmoothGround(Load):
         self._creep = creep
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
-        tau: Array = k.dot(self._pushed(k, x)[0], k.jacobian(self._point))
+        """Return the generalized force, shape (nv,)."""
+        tau: Array = k.dot(self._contact_force(k, x)[0], k.jacobian(self._point))
         return tau
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """The force on the point."""
-        force, _ = self._pushed(k, x)
+        """Return the force on the point."""
+        force, _ = self._contact_force(k, x)
         return (Wrench(self._point.frame, k.position(self._point), force, np.zeros(3)),)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> tuple[float, ...]:
-        """The force along the normal."""
-        return (self._pushed(k, x)[1],)
+        """Return the normal force [N]."""
+        return (self._contact_force(k, x)[1],)
 
-    def _pushed(self, k: Kinematics, x: State) -> tuple[Array, float]:
-        """Force in axes of the world, shape (3,), and its part along the normal."""
+    def _contact_force(self, k: Kinematics, x: State) -> tuple[Array, float]:
+        """Return the force in the axes of the world, shape (3,), and the normal force N."""
         velocity = k.dot(k.jacobian(self._point), x.v)
         rise = k.dot(self._normal, velocity)
         depth = self._height - k.dot(self._normal, k.position(self._point))
         s = self._smoothing
-        beyond = s * k.log(1.0 + k.exp(-k.maximum(depth, -depth) / s))
-        soft = k.maximum(depth, 0.0) + beyond
-        size = self._stiffness * soft * k.maximum(1.0 - self._dissipation * rise, 0.0)
+        rounding = s * k.log(1.0 + k.exp(-k.maximum(depth, -depth) / s))
+        smooth_depth = k.maximum(depth, 0.0) + rounding  # s ln(1 + exp(d / s)), never overflows
+        N = self._stiffness * smooth_depth * k.maximum(1.0 - self._dissipation * rise, 0.0)
         slip = velocity - self._normal * rise
         speed = k.sqrt(k.dot(slip, slip) + self._creep * self._creep)
-        force: Array = self._normal * size - slip * (self._friction * size / speed)
-        return force, size
+        force: Array = self._normal * N - slip * (self._friction * N / speed)
+        return force, N

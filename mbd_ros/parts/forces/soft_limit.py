@@ -1,4 +1,4 @@
-"""Springs that come in softly beyond the ends of a range."""
+"""Joint limits as springs whose stiffness rises smoothly beyond the ends of a range."""
 
 from typing import Annotated
 
@@ -11,25 +11,25 @@ from mbd_ros.errors import ModelError
 
 
 class SoftLimit(Load):
-    """Spring and damper beyond either end of a range, which come in over a transition.
+    """Spring and damper beyond each end of the range of a joint, with a smooth transition.
 
         tau = lower_stiffness S(l) l - upper_stiffness S(u) u - damping (S(l) + S(u)) v
 
-    with the ways l = lower - q and u = q - upper beyond the ends, in units of length or angle, and
-    S(e) = x^3 (10 - 15 x + 6 x^2) of x = e / transition, 0 before and 1 after it. Force and
-    stiffness are continuous, so that steps need no event.
+    l = lower - q and u = q - upper are the excesses beyond the ends, and the smooth step
+    S(e) = x^3 (10 - 15 x + 6 x^2) with x = e / transition is 0 for x < 0 and 1 for x > 1. Force
+    and stiffness are continuous, so integration needs no event.
 
     Source: OpenSim's CoordinateLimitForce, A. Seth et al., PLoS Comput. Biol. 14, 2018, e1006223;
-        what is per degree there is per radian here.
+        it counts in degrees where this part counts in radians.
 
     Args:
-        joint: Joint that carries the springs.
-        lower: End of the range, none by default.
-        upper: End of the range, none by default.
-        lower_stiffness: Of the spring below.
-        upper_stiffness: Of the spring above.
-        damping: Of the damper beyond either end.
-        transition: Way beyond an end over which both come in.
+        joint: Joint that the springs act on.
+        lower: Lower end of the range; none by default.
+        upper: Upper end of the range; none by default.
+        lower_stiffness: Stiffness of the spring below `lower`.
+        upper_stiffness: Stiffness of the spring above `upper`.
+        damping: Damping beyond either end.
+        transition: Excess beyond an end at which spring and damper act fully.
     """
 
     example = {
@@ -65,28 +65,31 @@ class SoftLimit(Load):
 
     @staticmethod
     def check(lower: float | None, upper: float | None) -> None:
-        """Refuse a range without ends, or whose ends are the wrong way round."""
+        """Refuse a range without ends, or with a lower end above the upper one."""
         if lower is None and upper is None:
-            raise ModelError("give lower, upper or both")
+            raise ModelError("lower and upper are missing; give at least one of them")
         if lower is not None and upper is not None and lower > upper:
             raise ModelError(f"lower {lower:g} is above upper {upper:g}")
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force, shape (nv,)."""
+        """Return the generalized force, shape (nv,)."""
         tau, rate = k.zeros(self._nv), k.item(x.v, self.joint.v)
         total = 0.0
-        for way, stiffness, sign in self._ways(k, x):
-            share, _ = self._step(k, way)
-            total = total + share * (sign * stiffness * way - self._damping * rate)
+        for excess, stiffness, sign in self._excesses(k, x):
+            share, _ = self._smooth_step(k, excess)
+            total = total + share * (sign * stiffness * excess - self._damping * rate)
         tau[self.joint.v] = total
         return tau
 
     def potential(self, k: Kinematics, x: State) -> float:
-        """Energy of the springs, zero inside the range [J]."""
-        return sum(stiffness * self._step(k, way)[1] for way, stiffness, _ in self._ways(k, x))
+        """Return the energy of the springs [J], which is zero inside of the range."""
+        return sum(
+            stiffness * self._smooth_step(k, excess)[1]
+            for excess, stiffness, _ in self._excesses(k, x)
+        )
 
-    def _ways(self, k: Kinematics, x: State) -> list[tuple[float, float, float]]:
-        """Way beyond each end, stiffness and sign of the force there."""
+    def _excesses(self, k: Kinematics, x: State) -> list[tuple[float, float, float]]:
+        """Return the excess beyond each end, with the stiffness and sign of the force there."""
         q, ends = k.item(x.q, self.joint.q), []
         if self._lower is not None:
             ends.append((self._lower - q, self._below, 1.0))
@@ -94,11 +97,11 @@ class SoftLimit(Load):
             ends.append((q - self._upper, self._above, -1.0))
         return ends
 
-    def _step(self, k: Kinematics, way: float) -> tuple[float, float]:
-        """S of a way, and the integral of S(e) e up to it."""
+    def _smooth_step(self, k: Kinematics, excess: float) -> tuple[float, float]:
+        """Return S(excess) and the integral of S(e) e from 0 to `excess`."""
         width = self._width
-        x = k.maximum(0.0, -k.maximum(-way / width, -1.0))
+        x = k.maximum(0.0, -k.maximum(-excess / width, -1.0))
         share = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
         inner = width * width * x**5 * (2.0 - 2.5 * x + 6.0 / 7.0 * x * x)
-        beyond = k.maximum(way, width)
+        beyond = k.maximum(excess, width)
         return share, inner + 0.5 * (beyond * beyond - width * width)

@@ -55,7 +55,7 @@ class Adams(Integrator):
         return spectral_radius(after)
 
     def prepare(self, system: Any, dt: float) -> AdamsSteps:
-        """The stepper for one system and one step size [s].
+        """Return the stepper for one system and one step size [s].
 
         Raises:
             ModelError: A body moves freely; names it.

@@ -1,6 +1,7 @@
 """Gauss-Legendre collocation: implicit midpoint and its relatives of order 4 and 6."""
 
 import math
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -41,7 +42,7 @@ class GaussLegendre(Integrator):
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     is_explicit = False
-    asks = ("accelerate", "derivatives")
+    compiled_functions = ("accelerate", "derivatives")
     example = {"stages": 2}
 
     def __init__(self, *, stages: int = 2, tolerance: float = 1.0e-10) -> None:
@@ -54,12 +55,12 @@ class GaussLegendre(Integrator):
         self.order = 2 * stages
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s]."""
+        """Return a stepper for one system and one step size [s]."""
         return _Steps(self, system, dt)
 
 
 def _tableau(stages: int) -> tuple[Array, Array, Array]:
-    """Coefficients a, b, c of the collocation."""
+    """Return coefficients a, b, c of the collocation."""
     c = 0.5 + 0.5 * np.polynomial.legendre.leggauss(stages)[0]
     k = np.arange(1, stages + 1)
     lagrange = np.linalg.inv(np.vander(c, increasing=True))
@@ -67,7 +68,17 @@ def _tableau(stages: int) -> tuple[Array, Array, Array]:
 
 
 class _Steps(Stepper):
-    kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse", "_slopes", "_x", "_after")
+    checkpoint_fields = (
+        "_is_fresh",
+        "_is_slow",
+        "_h",
+        "_K",
+        "_turn",
+        "_inverse",
+        "_slopes",
+        "_x",
+        "_after",
+    )
 
     def __init__(self, method: GaussLegendre, system: Any, dt: float) -> None:
         self._system = system
@@ -96,9 +107,9 @@ class _Steps(Stepper):
         """Forget stages and derivatives."""
         self._is_fresh, self._is_slow, self._h = True, True, 0.0
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, with the coefficients for its length."""
-        super().recall(memory, x)
+        super().restore(checkpoint, x)
         self._scale(self._h)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -108,7 +119,7 @@ class _Steps(Stepper):
         return self._advance(x, u, h, t)
 
     def again(self, h: float, t: float) -> State:
-        """The last step once more by another length, with the same derivatives."""
+        """Return the last step once more by another length, with the same derivatives."""
         places = np.minimum(self._c * (h / self._h), 1.0)
         guess = np.vander(places, len(places), increasing=True).dot(self._vander)
         self._K, self._turn = guess.dot(self._K), guess.dot(self._turn)
@@ -120,11 +131,11 @@ class _Steps(Stepper):
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """Go on with other accelerations, as in another mode."""
         self._accelerate, self._mode = accelerate, mode
-        self._differentiate = Linearization(self._system, accelerate).derivatives
+        self._differentiate = partial(Linearization(self._system).derivatives, accelerate)
         self.restart()
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the polynomial of the collocation.
+        """Return the state inside the last step, by the polynomial of the collocation.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -149,7 +160,7 @@ class _Steps(Stepper):
         return State(t, q, v, mode=self._mode)
 
     def _advance(self, x: State, u: Array | None, h: float, t: float) -> State:
-        """The step that has begun."""
+        """Return the step that has begun."""
         rate = FAILED
         if not self._is_slow:
             rate = self._solve(x, u, h)
@@ -218,7 +229,7 @@ class _Steps(Stepper):
         return rate
 
     def _flat_stages(self, x: State, u: Array | None) -> float:
-        """Residual of every stage where q is a vector space."""
+        """Return the residual of every stage where q is a vector space."""
         K = self._K
         V = x.v + self._ha.dot(K)
         Q = (x.q + self._hc * x.v) + self._hhaa.dot(K)

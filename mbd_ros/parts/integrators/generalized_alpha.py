@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.linearization import balance_of
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, State, have_same_bits
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.methods.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
@@ -40,7 +40,7 @@ class GeneralizedAlpha(Integrator):
     order = 2
     keeps_constraints = True
     is_explicit = False
-    asks = ("accelerate", "balance", "balance_slopes")
+    compiled_functions = ("accelerate", "balance", "balance_slopes")
     example = {"spectral_radius": 0.9}
 
     def __init__(self, *, spectral_radius: float = 0.9, tolerance: float = 1.0e-10) -> None:
@@ -52,7 +52,7 @@ class GeneralizedAlpha(Integrator):
         self.tolerance = tolerance
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows.
@@ -62,14 +62,24 @@ class GeneralizedAlpha(Integrator):
 
 
 class _Steps(Stepper):
-    kept = ("_h", "_is_slow", "_a0", "_vdot0", "_lam0", "_inverse", "_of_q", "_of_g", "_held")
+    checkpoint_fields = (
+        "_h",
+        "_is_slow",
+        "_a0",
+        "_vdot0",
+        "_lam0",
+        "_inverse",
+        "_of_q",
+        "_of_g",
+        "_u",
+    )
 
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
         self._system = system
         self._dt = dt
         self._tolerance = method.tolerance
-        self._kept = system.held
-        self._is_rate = system.held.constraints.is_rate
+        self._bilateral = system.bilateral
+        self._is_rate = system.bilateral.constraints.is_rate
         self._has_rates = bool(self._is_rate.any())
         self._accelerate = system.accelerator()
         rho = method.spectral_radius
@@ -78,7 +88,7 @@ class _Steps(Stepper):
         self._gamma = 0.5 + self._af - self._am
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         self._ratio = (1.0 - self._am) / (1.0 - self._af)  # dv'+ / da+
-        nv, size = system.nv, system.nv + len(system.held.rows)
+        nv, size = system.nv, system.nv + len(system.bilateral.rows)
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
         self._inverse = np.eye(size)
@@ -89,17 +99,16 @@ class _Steps(Stepper):
     def restart(self) -> None:
         """Forget accelerations and derivatives."""
         self._h, self._is_slow = 0.0, True
-        self._held: bytes | None = None
+        self._u: Array | None = None
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
-        held = None if u is None else u.tobytes()
         if h != self._h:
             self._start(x, u, h)
-        elif held != self._held:  # the accelerations jump with the commands
+        elif not have_same_bits(u, self._u):  # the accelerations jump with the commands
             self._vdot0 = self._a0 = self._acceleration(x, u)
-        self._held = held
+        self._u = None if u is None else u.copy()
         self._begin(x, h)
         rate = FAILED if self._is_slow else self._solve(x, u, t)
         if rate == FAILED:
@@ -124,10 +133,10 @@ class _Steps(Stepper):
         """
         self._h, self._is_slow = h, True
         self._vdot0 = self._a0 = self._acceleration(x, u)
-        self._lam0 = np.zeros(len(self._kept.rows))
+        self._lam0 = np.zeros(len(self._bilateral.rows))
 
     def _begin(self, x: State, h: float) -> None:
-        """What of the step does not depend on a+, and a+ for a constant acceleration."""
+        """Set the parts of the step that do not depend on a+, and a first guess of a+."""
         self._D0 = h * x.v + (0.5 - self._beta) * h * h * self._a0
         self._v0 = x.v + (1.0 - self._gamma) * h * self._a0
         left = self._am * self._a0 - self._af * self._vdot0
@@ -153,7 +162,7 @@ class _Steps(Stepper):
         self._evaluate(x)
         M = system.mass(self._q).dense
         stiffness, damping = self._balance.slopes(t, self._q, self._v, u, self._vdot, self._lam)
-        J = self._kept.jacobian(t, self._q) if self._kept.rows else np.zeros((0, n))
+        J = self._bilateral.jacobian(t, self._q) if self._bilateral.rows else np.zeros((0, n))
         self._of_q = 1.0 / np.sqrt(M.diagonal())
         J = J * self._of_q
         size = np.sqrt((J * J).sum(axis=1))
@@ -176,7 +185,7 @@ class _Steps(Stepper):
             self._evaluate(x)
             force = self._balance.force(t, self._q, self._v, u, self._vdot, self._lam)
             r[:n] = force_scale * force
-            if self._kept.rows:
+            if self._bilateral.rows:
                 r[n:] = -self._of_g * self._off(t)
             z = self._inverse.dot(r)
             self._a = self._a + of_a * z[:n]
@@ -189,9 +198,11 @@ class _Steps(Stepper):
         return rate
 
     def _off(self, t: float) -> Array:
-        """What the rows leave, as positions: beta h / gamma of the rate where they state rates."""
-        g = self._kept.residual(t, self._q)
+        """Return the residuals of the rows as positions; rates count beta h / gamma."""
+        g = self._bilateral.residual(t, self._q)
         if self._has_rates:
-            rate = self._kept.jacobian(t, self._q).dot(self._v) + self._kept.rate(t, self._q)
+            rate = self._bilateral.jacobian(t, self._q).dot(self._v) + self._bilateral.rate(
+                t, self._q
+            )
             g = np.where(self._is_rate, (self._beta * self._h / self._gamma) * rate, g)
         return g

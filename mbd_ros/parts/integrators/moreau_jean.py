@@ -18,7 +18,7 @@ class MoreauJean(Integrator):
 
     Joint stops, dry friction, limited drives, contacts and bilateral rows are one complementarity
     problem a step, with rates at its end; no time constant of theirs is read, but a limited drive
-    comes back to its motion with its own. Impacts have Poisson's restitution and divide a step.
+    returns to its motion with its own. Impacts have Poisson's restitution and divide a step.
     Loads and internal states are implicit: stiff ones do not limit the step. Second order where
     motion is smooth, if theta is 1/2, and first order where rows begin or cease to act.
 
@@ -38,12 +38,12 @@ class MoreauJean(Integrator):
         self.order = 2 if theta == 0.5 else 1
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """The stepper for one system and one step size [s]."""
+        """Return the stepper for one system and one step size [s]."""
         return _Steps(system, self.theta, dt)
 
 
 class _Steps(Stepper):
-    kept: ClassVar[tuple[str, ...]] = ("impulses", "shared")
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ("impulses", "shared")
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
         step = FreeBodyStep if system.robot.bases else MoreauJeanStep
@@ -54,7 +54,7 @@ class _Steps(Stepper):
         """Forget the impulses and the residuals of earlier steps."""
         self.impulses, self.shared = np.zeros_like(self.impulses), ()
         self._at.row_solver.forces = None
-        self.forget_residuals()
+        self.reset_residuals()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
@@ -72,7 +72,7 @@ class _Steps(Stepper):
 
     @property
     def shared(self) -> tuple[Any, ...]:
-        """Of which rows these are, and what their impulses did, where they are of least norm."""
+        """Rows of these impulses and their matrix, where the impulses have the least norm."""
         return self._at.row_solver.shared
 
     @shared.setter
@@ -86,9 +86,9 @@ class _Steps(Stepper):
 
     @property
     def forces(self) -> Array | None:
-        """Mean forces of rows that give way in the last step; None without contacts."""
+        """Mean forces of unilateral and bounded rows in the last step; None without contacts."""
         return self._at.row_solver.forces
 
-    def forget_residuals(self) -> None:
-        """Begin to look for the worst residuals anew."""
-        self._at.row_solver.forget()
+    def reset_residuals(self) -> None:
+        """Set the worst residuals to 0."""
+        self._at.row_solver.reset_residuals()

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from mbd_ros.core.state import Array, Memory, State
+from mbd_ros.core.state import Array, Memory, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
@@ -43,22 +43,24 @@ class Rattle(Integrator):
         self.tolerance = tolerance
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
-        if hasattr(system, "clusters"):
-            from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
-
-            return ParticleVerlet(system, self.tolerance, dt)
         refuse_bounded_rows(system, "rattle")
         refuse_rows_of_velocities(system, "rattle")
         return _Steps(system, self.tolerance, dt)
 
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s]."""
+        from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
+
+        return ParticleVerlet(system, self.tolerance, dt)
+
 
 class _Steps(Stepper):
-    kept = ("_last",)
+    checkpoint_fields = ("_last",)
 
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
         self._system = system
@@ -76,21 +78,20 @@ class _Steps(Stepper):
         """Continue from the last state, at a time without rounding."""
         self._last = (x, *self._last[1:])
 
-    def memory(self) -> Memory:
-        """Force and corrections of the last step."""
-        return {**super().memory(), "verlet": self._verlet.memory()}
+    def checkpoint(self) -> Memory:
+        """Return the force and corrections of the last step."""
+        return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._verlet.recall(memory["verlet"])
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
+        self._verlet.restore(checkpoint["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         move = PositionStep(*clip(x.t, self._dt, end))
-        last, commands_then, force = self._last
-        commands = None if u is None else u.tobytes()
-        if x is not last or commands != commands_then:
+        last, last_u, force = self._last
+        if x is not last or not have_same_bits(u, last_u):
             force = self._system.applied(x.t, x.q, x.v, u)
         half = 0.5 * move.h
         w, q = self._verlet.advance(x, u, move, half, 1.0, force)
@@ -98,5 +99,5 @@ class _Steps(Stepper):
         force = self._system.applied(move.t, q, w, u)
         v = w + half * there.respond(force)
         y = State(move.t, q, there.project(v) if self._has_rows else v)
-        self._last = (y, commands, force)
+        self._last = (y, None if u is None else u.copy(), force)
         return y

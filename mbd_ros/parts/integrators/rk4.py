@@ -21,9 +21,9 @@ class Rk4(Integrator):
     example: ClassVar[dict[str, Any]] = {}
 
     def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
+        """Return the factor by which a step multiplies a linear motion at most."""
         return runge_kutta_growth(RK4, motion, dt)
 
     def prepare(self, system: Any, dt: float) -> RungeKutta:
-        """The stepper for one system and one step size [s]."""
+        """Return the stepper for one system and one step size [s]."""
         return RungeKutta(system, RK4, dt)

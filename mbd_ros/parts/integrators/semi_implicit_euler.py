@@ -54,7 +54,7 @@ class SemiImplicitEuler(Integrator):
         return spectral_radius(np.vstack([position, velocity]))
 
     def _growth_on_springs(self, motion: SpringMotion, dt: float) -> float:
-        """The same without eigenvalues of an unsymmetric matrix, where that tells.
+        """Return the same without eigenvalues of an unsymmetric matrix, where that tells.
 
         With A = K dt^2, B = C dt and T = dt^2 times the stiffness of bristles, which lag one step
         behind velocities, a power z of a step solves, implicitly damped and explicitly,
@@ -77,7 +77,7 @@ class SemiImplicitEuler(Integrator):
         return spectral_radius(np.vstack([np.hstack([unit, 0.0 * unit]) + velocity, velocity]))
 
     def prepare(self, system: Any, dt: float) -> "SemiImplicitEulerStepper":
-        """The stepper for one system and one step size [s]."""
+        """Return the stepper for one system and one step size [s]."""
         if self.damping == "implicit":
             return ImplicitDampingStepper(system, dt)
         return SemiImplicitEulerStepper(system, dt)
@@ -115,7 +115,7 @@ class SemiImplicitEulerStepper(Stepper):
 
 
 class ImplicitDampingStepper(SemiImplicitEulerStepper):
-    """The same with dampers at the new velocity.
+    """Semi-implicit Euler steps with dampers at the new velocity.
 
     Args:
         dt: Length of a step [s].
@@ -123,7 +123,7 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
 
     def __init__(self, system: Any, dt: float) -> None:
         super().__init__(system, dt)
-        self._slopes = Linearization(system, self._accelerate)
+        self._linearization = Linearization(system)
         self._unit = np.eye(system.nv)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -135,7 +135,7 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
-        a, slope = self._slopes.by_velocity(x.t, x.q, x.v, u)
+        a, slope = self._linearization.by_velocity(self._accelerate, x.t, x.q, x.v, u)
         if not np.isfinite(slope).all():
             raise DivergedError(f"accelerations at t = {x.t:.9g} s are not finite")
         try:

@@ -3,7 +3,7 @@
 import math
 from typing import Any, Literal
 
-from mbd_ros.core.state import Array, Memory, State
+from mbd_ros.core.state import Array, Memory, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
@@ -51,17 +51,11 @@ class Shake(Integrator):
         self.velocity = velocity
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
-        if hasattr(system, "clusters"):
-            from mbd_ros.methods.particles.verlet_steps import ParticleShake, ParticleVerlet
-
-            if self.velocity == "unprojected":
-                return ParticleVerlet(system, self.tolerance, dt, projects=False)
-            return ParticleShake(system, self.tolerance, dt)
         if self.velocity != "central":
             raise ModelError(
                 f"shake: velocity {self.velocity} is for particles; accepted: central"
@@ -70,9 +64,17 @@ class Shake(Integrator):
         refuse_rows_of_velocities(system, "shake")
         return _Steps(system, self.tolerance, dt)
 
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s]."""
+        from mbd_ros.methods.particles.verlet_steps import ParticleShake, ParticleVerlet
+
+        if self.velocity == "unprojected":
+            return ParticleVerlet(system, self.tolerance, dt, projects=False)
+        return ParticleShake(system, self.tolerance, dt)
+
 
 class _Steps(Stepper):
-    kept = ("_ahead",)
+    checkpoint_fields = ("_ahead",)
 
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
         self._system = system
@@ -85,26 +87,25 @@ class _Steps(Stepper):
         self._ahead: tuple[Any, ...] = (None, None, None, None, None)
         self._verlet.restart()
 
-    def memory(self) -> Memory:
-        """The half-step that was solved ahead, and the last corrections."""
-        return {**super().memory(), "verlet": self._verlet.memory()}
+    def checkpoint(self) -> Memory:
+        """Return the half-step that was solved ahead, and the last corrections."""
+        return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._verlet.recall(memory["verlet"])
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
+        self._verlet.restore(checkpoint["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
-        y, commands_then, h_then, w, q = self._ahead
-        commands = None if u is None else u.tobytes()
-        if x is not y or commands != commands_then or h != h_then:
+        y, last_u, h_then, w, q = self._ahead
+        if x is not y or not have_same_bits(u, last_u) or h != h_then:
             force = self._system.applied(x.t, x.q, x.v, u)
             w, q = self._verlet.advance(x, u, PositionStep(h, t), 0.5 * h, 0.0, force)
         middle = State(t, q, w)
         force = self._system.applied(t, q, w, u)
         w_next, q_next = self._verlet.advance(middle, u, PositionStep(h, t + h), h, 0.5, force)
         y = State(t, q, 0.5 * (w + w_next))
-        self._ahead = (y, commands, h, w_next, q_next)
+        self._ahead = (y, None if u is None else u.copy(), h, w_next, q_next)
         return y

@@ -1,4 +1,4 @@
-"""Muscle of De Groote and Fregly 2016."""
+"""Muscle model of De Groote and Fregly (2016)."""
 
 from typing import Annotated, Literal
 
@@ -13,32 +13,32 @@ _SHARE = Within(1.0e-6, 0.999)
 
 
 class DegrooteFregly(Muscle):
-    """Muscle whose curves have derivatives of any order, for optimal control.
+    """Hill-type muscle whose curves are smooth to any order, for optimal control.
 
-    Equations are in docs/muscles.md. Fatigue and history of force are left out.
+    The page docs/muscles.md states the equations. Fatigue and history dependence are left out.
 
     Source: F. De Groote, A. L. Kinney, A. V. Rao, B. J. Fregly, Evaluation of direct collocation
     optimal control problem formulations for solving the muscle redundancy problem, Ann. Biomed.
     Eng. 44, 2016, 2922-2936, doi:10.1007/s10439-016-1591-9.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        max_isometric_force: Largest force of the active fibres at rest.
-        optimal_fiber_length: Fibre length at which they have it.
-        tendon_slack_length: Length at which the tendon begins to pull.
-        pennation_angle: Between fibres of optimal length and the tendon.
-        maximum_pennation_angle: Angle beyond which fibres do not shorten.
-        max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
+        path: Path of the muscle: the name of a path of the scene, or the entry of a path.
+        max_isometric_force: Largest active force of the fibres at constant length (peak force).
+        optimal_fiber_length: Fibre length at which the fibres exert the peak force.
+        tendon_slack_length: Length up to which the tendon is slack.
+        pennation_angle: Angle between tendon and fibres of optimal length.
+        maximum_pennation_angle: Pennation angle at which the fibres stop shortening.
+        max_contraction_velocity: Largest speed of shortening [optimal fibre lengths per second].
         activation_time: Time constant of rising activation.
         deactivation_time: Time constant of falling activation.
-        minimum_activation: Least activation.
-        tendon: elastic, with fibre length as a state, or rigid.
-        active_width: Widens the active force-length curve.
+        minimum_activation: Lower bound of the activation.
+        tendon: `elastic`, with the fibre length as an internal state, or `rigid`.
+        active_width: Factor on the width of the active force-length curve.
         passive_shape: Exponent of the passive force-length curve.
-        passive_strain: Strain of the fibres at which their passive force is the peak force.
-        tendon_strain: Strain of the tendon at which its force is the peak force.
-        damping: Of the fibres, in peak forces per largest speed.
-        activation_steepness: Of the change between the two time constants.
+        passive_strain: Fibre strain at which the passive force equals the peak force.
+        tendon_strain: Tendon strain at which the tendon force equals the peak force.
+        damping: Damping of the fibres, relative to peak force over largest speed.
+        activation_steepness: Steepness of the transition between the two time constants.
     """
 
     example = {

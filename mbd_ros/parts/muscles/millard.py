@@ -1,4 +1,4 @@
-"""Muscle of Millard 2012."""
+"""Muscle model of Millard et al. (2013)."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -24,46 +24,48 @@ _POSITIVE = Within(SMALLEST, 1.0e30)
 
 
 class Millard(Muscle):
-    """Muscle with force curves of Bezier segments and a damper beside the fibres.
+    """Hill-type muscle with Bezier curves and a damper in parallel with the fibres.
 
-    Equations are in docs/muscles.md. Active force vanishes at both ends of its curve, as it does
-    in OpenSim with damping. Fatigue and history of force are left out.
+    The page docs/muscles.md states the equations. The active force vanishes at both ends of its
+    curve, as in OpenSim with damping. Fatigue and history dependence are left out.
 
     Source: M. Millard, T. Uchida, A. Seth, S. L. Delp, Flexing computational muscle: modeling and
     simulation of musculotendon dynamics, J. Biomech. Eng. 135, 2013, 021005,
     doi:10.1115/1.4023390.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        max_isometric_force: Largest force of the active fibres at rest.
-        optimal_fiber_length: Fibre length at which they have it.
-        tendon_slack_length: Length at which the tendon begins to pull.
-        pennation_angle: Between fibres of optimal length and the tendon.
-        maximum_pennation_angle: Angle beyond which fibres do not shorten.
-        max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
+        path: Path of the muscle: the name of a path of the scene, or the entry of a path.
+        max_isometric_force: Largest active force of the fibres at constant length (peak force).
+        optimal_fiber_length: Fibre length at which the fibres exert the peak force.
+        tendon_slack_length: Length up to which the tendon is slack.
+        pennation_angle: Angle between tendon and fibres of optimal length.
+        maximum_pennation_angle: Pennation angle at which the fibres stop shortening.
+        max_contraction_velocity: Largest speed of shortening [optimal fibre lengths per second].
         activation_time: Time constant of rising activation.
         deactivation_time: Time constant of falling activation.
-        minimum_activation: Least activation.
-        tendon: elastic, with fibre length as a state, or rigid.
-        damping: Of the fibres, in peak forces per largest speed.
-        active_lengths: Per optimal length, where active force begins, where its ascent becomes
-            shallow, and where it ends.
-        active_slope: Of the shallow ascent.
-        passive_zero_strain: Strain of the fibres at which their passive force begins.
-        passive_strain: Strain at which it is the peak force.
-        passive_low_stiffness: Its slope at the end of the toe.
-        passive_stiffness: Its slope at the peak force; default 2 / (the strain between).
-        passive_curviness: Of its curve, 0 .. 1.
-        tendon_strain: Strain of the tendon at which its force is the peak force.
-        tendon_stiffness: Slope of its force beyond the toe; default 1.375 / tendon_strain.
-        tendon_toe_force: Force at the end of its toe.
-        tendon_curviness: Of its curve, 0 .. 1.
-        shortening_slope: Of the force-velocity curve near the largest speed of shortening.
-        shortening_curviness: Of its half of that curve, 0 .. 1.
-        isometric_slope: At rest.
-        lengthening_force: Largest force of lengthening fibres per isometric force.
-        lengthening_slope: Near the largest speed of lengthening.
-        lengthening_curviness: Of its half of the curve, 0 .. 1.
+        minimum_activation: Lower bound of the activation.
+        tendon: `elastic`, with the fibre length as an internal state, or `rigid`.
+        damping: Damping of the fibres, relative to peak force over largest speed.
+        active_lengths: Fibre lengths, in optimal lengths, at which the active force-length
+            curve starts, where its ascent becomes shallow, and where it ends.
+        active_slope: Slope of the shallow ascent of that curve.
+        passive_zero_strain: Fibre strain at which the passive force starts.
+        passive_strain: Fibre strain at which the passive force equals the peak force.
+        passive_low_stiffness: Slope of the passive force at the end of its toe region.
+        passive_stiffness: Slope of the passive force at the peak force; by default
+            2 / (passive_strain - passive_zero_strain).
+        passive_curviness: Curviness of the passive force-length curve, 0 .. 1.
+        tendon_strain: Tendon strain at which the tendon force equals the peak force.
+        tendon_stiffness: Slope of the tendon force beyond its toe region; by default
+            1.375 / tendon_strain.
+        tendon_toe_force: Tendon force at the end of its toe region, relative to the peak force.
+        tendon_curviness: Curviness of the tendon curve, 0 .. 1.
+        shortening_slope: Slope of the force-velocity curve near the largest speed of shortening.
+        shortening_curviness: Curviness of the shortening half of that curve, 0 .. 1.
+        isometric_slope: Slope of the force-velocity curve at velocity 0.
+        lengthening_force: Largest force of lengthening fibres, relative to the isometric force.
+        lengthening_slope: Slope of the force-velocity curve near the largest speed of lengthening.
+        lengthening_curviness: Curviness of the lengthening half of that curve, 0 .. 1.
     """
 
     example = {
@@ -108,14 +110,21 @@ class Millard(Muscle):
         lengthening_slope: Annotated[Positive, Unit("-")] = 0.15,
         lengthening_curviness: Annotated[float, _CURVINESS, Unit("-")] = 0.9,
     ) -> None:
-        ascent = (passive_zero_strain, passive_strain, passive_low_stiffness)
-        pulling = (tendon_strain, tendon_stiffness, tendon_toe_force, tendon_curviness)
-        longer = (lengthening_force, lengthening_slope, lengthening_curviness)
         curves = MillardCurves(
             active_curve(*active_lengths, active_slope),
-            passive_curve(*ascent, passive_stiffness, passive_curviness),
-            tendon_curve(*pulling),
-            velocity_curve((shortening_slope, shortening_curviness), isometric_slope, longer),
+            passive_curve(
+                passive_zero_strain,
+                passive_strain,
+                passive_low_stiffness,
+                passive_stiffness,
+                passive_curviness,
+            ),
+            tendon_curve(tendon_strain, tendon_stiffness, tendon_toe_force, tendon_curviness),
+            velocity_curve(
+                (shortening_slope, shortening_curviness),
+                isometric_slope,
+                (lengthening_force, lengthening_slope, lengthening_curviness),
+            ),
             damping,
         )
         contraction = contraction_of(
@@ -141,15 +150,18 @@ class Millard(Muscle):
         passive_zero_strain: float,
         passive_strain: float,
     ) -> None:
-        """Refuse what does not go together."""
+        """Refuse sizes and curves that contradict each other."""
         check_sizes(tendon, tendon_slack_length, pennation_angle, maximum_pennation_angle)
         if tendon == "elastic" and damping <= 0.0:
-            raise ModelError("damping is 0: fibres beside an elastic tendon need some")
+            raise ModelError("damping is 0, but must be positive with an elastic tendon")
         first, bend, last = active_lengths
         if not 0.0 <= first < bend < 0.95 or not last > 1.1:
             raise ModelError(
-                f"active_lengths {list(active_lengths)} must increase, the second below 0.95 and "
-                "the last above 1.1, around the plateau at 1"
+                f"active_lengths {list(active_lengths)} must increase, with the second below 0.95 "
+                "and the last above 1.1"
             )
         if passive_strain <= passive_zero_strain:
-            raise ModelError("passive_strain must be above passive_zero_strain")
+            raise ModelError(
+                f"passive_strain {passive_strain:g} must be above passive_zero_strain "
+                f"{passive_zero_strain:g}"
+            )

@@ -1,4 +1,4 @@
-"""Muscle of Thelen 2003."""
+"""Muscle model of Thelen (2003)."""
 
 from typing import Annotated, Literal
 
@@ -14,32 +14,33 @@ _MORE = Within(1.001, 100.0)
 
 
 class Thelen(Muscle):
-    """Muscle with exponential force-length curves, whose largest speed grows with activation.
+    """Hill-type muscle with exponential force-length curves.
 
-    Equations are in docs/muscles.md. Fatigue and history of force are left out.
+    The largest speed of shortening increases with the activation. The page docs/muscles.md states
+    the equations. Fatigue and history dependence are left out.
 
     Source: D. G. Thelen, Adjustment of muscle mechanics model parameters to simulate dynamic
     contractions in older adults, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112.
 
     Args:
-        path: What it goes over: the name of a path of the scene, or a path of its own.
-        max_isometric_force: Largest force of the active fibres at rest.
-        optimal_fiber_length: Fibre length at which they have it.
-        tendon_slack_length: Length at which the tendon begins to pull.
-        pennation_angle: Between fibres of optimal length and the tendon.
-        maximum_pennation_angle: Angle beyond which fibres do not shorten.
-        max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
+        path: Path of the muscle: the name of a path of the scene, or the entry of a path.
+        max_isometric_force: Largest active force of the fibres at constant length (peak force).
+        optimal_fiber_length: Fibre length at which the fibres exert the peak force.
+        tendon_slack_length: Length up to which the tendon is slack.
+        pennation_angle: Angle between tendon and fibres of optimal length.
+        maximum_pennation_angle: Pennation angle at which the fibres stop shortening.
+        max_contraction_velocity: Largest speed of shortening [optimal fibre lengths per second].
         activation_time: Time constant of rising activation.
         deactivation_time: Time constant of falling activation.
-        minimum_activation: Least activation.
-        tendon: elastic, with fibre length as a state, or rigid.
+        minimum_activation: Lower bound of the activation.
+        tendon: `elastic`, with the fibre length as an internal state, or `rigid`.
         active_shape: Width of the active force-length curve.
         passive_shape: Exponent of the passive force-length curve.
-        passive_strain: Strain of the fibres at which their passive force is the peak force.
-        tendon_strain: Strain of the tendon at which its force is the peak force.
+        passive_strain: Fibre strain at which the passive force equals the peak force.
+        tendon_strain: Tendon strain at which the tendon force equals the peak force.
         velocity_shape: Curvature of the force-velocity curve.
-        lengthening_force: Largest force of lengthening fibres per isometric force.
-        fv_extrapolation: Share of that force beyond which the curve is straight.
+        lengthening_force: Largest force of lengthening fibres, relative to the isometric force.
+        fv_extrapolation: Fraction of that force beyond which the force-velocity curve is straight.
     """
 
     example = {

@@ -13,16 +13,16 @@ from mbd_ros.core.state import Array, State
 
 
 class Accelerometer(Sensor):
-    """Specific force at a point of a link, in axes of the link: R' (a - g), +9.81 upwards at rest.
+    """Accelerometer: specific force R' (a - g) at a point of a link, in the axes of the link.
 
-    An offset of its zero and its range are left out.
+    At rest it measures 9.81 m/s^2 upwards. Offset and measuring range are left out.
 
     Args:
         frame: Link (or frame) in whose axes it measures.
-        xyz: Place in `frame`, shape (3,).
+        xyz: Position in `frame`, shape (3,).
         noise: Standard deviation of each component.
-        label: What recordings and messages call it; empty for its name.
-        delay: From a measurement to its message.
+        label: Name in recordings and messages; by default the name of the sensor.
+        delay: Time from a measurement to its message.
     """
 
     example = {"frame": "foot", "noise": 0.05}
@@ -50,13 +50,13 @@ class Accelerometer(Sensor):
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Specific force in the axes of the link [m/s^2], shape (3,)."""
+        """Return the specific force in the axes of the link [m/s^2], shape (3,)."""
         return specific_force(self, k, self.point, now, self._gravity)
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by the accelerations of the joints, shape (3, nv)."""
+        """Return the derivative with respect to joint accelerations, shape (3, nv)."""
         return k.rotation(self.point).T.dot(k.jacobian(self.point))
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """The same noise along all axes [(m/s^2)^2], shape (3, 3)."""
+        """Return the covariance, equal for all axes [(m/s^2)^2], shape (3, 3)."""
         return self.noise**2 * np.eye(3)

@@ -12,17 +12,17 @@ from mbd_ros.core.state import Array, State
 
 
 class Effort(Sensor):
-    """What the parent of a joint exerts on its child along the axis: all that acts in the joint.
+    """Torque (or force) that the parent link exerts on the child link along the joint axis.
 
-    That is drive, friction, springs and tendons, without the torque on the rotor of a drive: what
-    a sensor at the output of a gear feels.
+    It is the sum of drive, friction, springs and tendons without the torque that accelerates the
+    rotor of the drive, as a sensor at the output of the gear measures it.
 
     Args:
-        joint: Joint that it is in.
+        joint: Joint that contains the sensor.
         noise: Standard deviation.
-        offset: What it shows where nothing acts.
-        label: What recordings and messages call it; empty for its name.
-        delay: From a measurement to its message.
+        offset: Measured value without load.
+        label: Name in recordings and messages; by default the name of the sensor.
+        delay: Time from a measurement to its message.
     """
 
     example = {"joint": "ankle", "noise": 0.05}
@@ -45,13 +45,13 @@ class Effort(Sensor):
         self.delay = delay
         self.frame = joint
         self.unit = self.joint.effort_unit
-        self._row = [one.name for one in robot.joints].index(joint)
+        self._row = [j.name for j in robot.joints].index(joint)
         self._axis = robot.axis(self.joint)
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Effort in the joint [N·m or N], shape (1,)."""
+        """Return the effort in the joint [N·m or N], shape (1,)."""
         return np.array((reactions_of(self, now)[self._row].dot(self._axis) + self.offset,))
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise [(N·m)^2 or N^2], shape (1, 1)."""
+        """Return the covariance of the noise [(N·m)^2 or N^2], shape (1, 1)."""
         return np.array(((self.noise**2,),))

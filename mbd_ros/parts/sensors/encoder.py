@@ -12,14 +12,14 @@ from mbd_ros.core.state import Array, State
 
 
 class Encoder(Sensor):
-    """Position of a joint; resolution and backlash are left out.
+    """Encoder: position of a joint. Resolution and backlash are left out.
 
     Args:
-        joint: Joint that it is on.
+        joint: Measured joint.
         noise: Standard deviation.
-        offset: What it shows at the zero of the joint.
-        label: What recordings and messages call it; empty for its name.
-        delay: From a measurement to its message.
+        offset: Measured value at joint position 0.
+        label: Name in recordings and messages; by default the name of the sensor.
+        delay: Time from a measurement to its message.
     """
 
     example = {"joint": "ankle", "noise": 1.0e-4}
@@ -47,13 +47,13 @@ class Encoder(Sensor):
         self._row[0, self.joint.v] = 1.0
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Position of the joint [rad or m], shape (1,)."""
+        """Return the position of the joint [rad or m], shape (1,)."""
         return np.array((x.q[self.joint.q] + self.offset,))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by q, shape (1, nv)."""
+        """Return the derivative with respect to q, shape (1, nv)."""
         return self._row
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise [rad^2 or m^2], shape (1, 1)."""
+        """Return the covariance of the noise [rad^2 or m^2], shape (1, 1)."""
         return np.array(((self.noise**2,),))

@@ -15,14 +15,14 @@ _ANGULAR = slice(3, 6)  # of a spatial velocity
 
 
 class Gyroscope(Sensor):
-    """Angular velocity of a link, in axes of the link.
+    """Gyroscope: angular velocity of a link, in the axes of the link.
 
     Args:
         frame: Link (or frame) in whose axes it measures.
         noise: Standard deviation of each component.
-        offset: What it shows at rest, shape (3,).
-        label: What recordings and messages call it; empty for its name.
-        delay: From a measurement to its message.
+        offset: Measured value at rest, shape (3,).
+        label: Name in recordings and messages; by default the name of the sensor.
+        delay: Time from a measurement to its message.
     """
 
     example = {"frame": "foot", "noise": 0.01}
@@ -49,13 +49,13 @@ class Gyroscope(Sensor):
         self.delay = delay
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Angular velocity in the axes of the link [rad/s], shape (3,)."""
+        """Return the angular velocity in the axes of the link [rad/s], shape (3,)."""
         return self.jacobian(k, x).dot(x.v) + np.array(self.offset)
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by v [rad/s per unit of v], shape (3, nv)."""
-        return k.own_jacobian(self.point)[_ANGULAR]
+        """Return the derivative with respect to v [rad/s per unit of v], shape (3, nv)."""
+        return k.local_jacobian(self.point)[_ANGULAR]
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """The same noise about all axes [(rad/s)^2], shape (3, 3)."""
+        """Return the covariance, equal for all axes [(rad/s)^2], shape (3, 3)."""
         return self.noise**2 * np.eye(3)

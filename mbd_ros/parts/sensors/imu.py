@@ -14,17 +14,17 @@ _ANGULAR = slice(3, 6)  # of a spatial velocity
 
 
 class Imu(Sensor):
-    """Angular velocity, then specific force R' (a - g), both in axes of the link.
+    """IMU: angular velocity, then specific force R' (a - g), both in the axes of the link.
 
-    At rest it shows +9.81 m/s^2 upwards. Drift of its zeros is left out.
+    At rest the specific force is 9.81 m/s^2 upwards. Bias drift is left out.
 
     Args:
         frame: Link (or frame) in whose axes it measures.
-        xyz: Place in `frame`, shape (3,).
+        xyz: Position in `frame`, shape (3,).
         gyro_noise: Standard deviation of each component of the angular velocity.
-        acceleration_noise: Of each component of the specific force.
-        label: Topic of its messages; empty for `~/imu/<name>`.
-        delay: From a measurement to its message.
+        acceleration_noise: Standard deviation of each component of the specific force.
+        label: Topic of its messages; by default `~/imu/<name>`.
+        delay: Time from a measurement to its message.
     """
 
     example = {"frame": "foot"}
@@ -60,16 +60,16 @@ class Imu(Sensor):
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Angular velocity [rad/s] and specific force [m/s^2], shape (6,)."""
-        felt = specific_force(self, k, self.point, now, self._gravity)
-        return np.concatenate((k.own_jacobian(self.point)[_ANGULAR].dot(x.v), felt))
+        """Return the angular velocity [rad/s] and specific force [m/s^2], shape (6,)."""
+        force = specific_force(self, k, self.point, now, self._gravity)
+        return np.concatenate((k.local_jacobian(self.point)[_ANGULAR].dot(x.v), force))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by the accelerations of the joints, shape (6, nv)."""
+        """Return the derivative with respect to joint accelerations, shape (6, nv)."""
         by_a = k.rotation(self.point).T.dot(k.jacobian(self.point))
         return np.vstack((np.zeros_like(by_a), by_a))
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise [(rad/s)^2, (m/s^2)^2], shape (6, 6)."""
+        """Return the covariance of the noise [(rad/s)^2, (m/s^2)^2], shape (6, 6)."""
         noise = np.repeat((self.gyro_noise, self.acceleration_noise), 3)
         return np.diag(noise**2)

@@ -13,16 +13,16 @@ from mbd_ros.core.state import Array, State
 
 
 class Marker(Sensor):
-    """A point on a link whose position in the world a motion capture system sees.
+    """Marker: point of a link whose position in the world a motion capture system measures.
 
-    The marker does not slide on its link: skin and soft tissue are left out.
+    The marker is fixed to its link; motion of skin and soft tissue is left out.
 
     Args:
-        frame: Link (or frame) that carries it; `world` for one at rest.
-        xyz: Place in `frame`, shape (3,).
-        weight: Of its squared distance in marker kinematics; 0 leaves it out.
-        label: What recordings and messages call it; empty for its name.
-        fixed: Whether its place on the link is certain, as models of OpenSim say it; a note only.
+        frame: Link (or frame) of the marker; `world` for a fixed marker.
+        xyz: Position in `frame`, shape (3,).
+        weight: Weight of its squared distance in marker kinematics; 0 excludes the marker.
+        label: Name in recordings and messages; by default the name of the sensor.
+        fixed: Whether an OpenSim model calls its position on the link certain; it has no effect.
         noise: Standard deviation of each component.
     """
 
@@ -54,17 +54,17 @@ class Marker(Sensor):
         self.fixed = fixed
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Position in the world [m], shape (3,)."""
+        """Return the position in the world [m], shape (3,)."""
         return k.position(self.point) + self.origin
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by q [m/rad or 1], shape (3, nv)."""
+        """Return the derivative with respect to q [m/rad or 1], shape (3, nv)."""
         return k.jacobian(self.point)
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """The same noise in all directions [m^2], shape (3, 3)."""
+        """Return the covariance, equal for all directions [m^2], shape (3, 3)."""
         return self.noise**2 * np.eye(3)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Position in the world [m]."""
+        """Return the position in the world [m]."""
         return (self.measure(k, x, now),)

@@ -1,4 +1,4 @@
-"""Pose of a link, as a tracking system sees it."""
+"""Pose of a link, as a tracking system measures it."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -20,16 +20,17 @@ from mbd_ros.core.state import Array, State
 class Pose(Sensor):
     """Position of a point of a link in the world, then the orientation of the link.
 
-    The orientation is a rotation vector: along the axis, as long as the angle. Messages carry a
-    quaternion. Between pi and -pi it jumps, which estimators know.
+    The orientation is a rotation vector, whose direction is the axis and whose length is the
+    angle; messages contain a quaternion. The vector jumps where the angle passes pi, for which
+    estimators compensate (`near`).
 
     Args:
-        frame: Link (or frame) that is seen.
-        xyz: Place in `frame`, shape (3,).
+        frame: Measured link (or frame).
+        xyz: Measured point in `frame`, shape (3,).
         noise: Standard deviation of each component of the position.
-        turn_noise: Of the rotation about each axis.
-        label: Topic of its messages; empty for `~/pose/<name>`.
-        delay: From a measurement to its message.
+        turn_noise: Standard deviation of the rotation about each axis.
+        label: Topic of its messages; by default `~/pose/<name>`.
+        delay: Time from a measurement to its message.
     """
 
     example = {"frame": "foot"}
@@ -59,24 +60,24 @@ class Pose(Sensor):
         self.delay = delay
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Position [m] and rotation vector [rad] in the world, shape (6,)."""
-        place = k.position(self.point) + self.origin
-        return np.concatenate((place, rotation_vector(k.rotation(self.point))))
+        """Return position [m] and rotation vector [rad] in the world, shape (6,)."""
+        position = k.position(self.point) + self.origin
+        return np.concatenate((position, rotation_vector(k.rotation(self.point))))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by q, shape (6, nv)."""
-        turning = k.own_jacobian(self.point)[3:]
+        """Return the derivative with respect to q, shape (6, nv)."""
+        angular = k.local_jacobian(self.point)[3:]
         slope = rotation_vector_slope(k.rotation(self.point))
-        return np.vstack((k.jacobian(self.point), slope.dot(turning)))
+        return np.vstack((k.jacobian(self.point), slope.dot(angular)))
 
     def near(self, values: Array, expected: Array) -> Array:
-        """The same pose with the rotation vector that is nearest to the expected one."""
+        """Return the same pose with the rotation vector that is nearest to the expected one."""
         if not np.isfinite(values[3:]).all():
             return values
         return np.concatenate((values[:3], nearest_rotation_vector(values[3:], expected[3:])))
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise, the same about all axes [m^2, rad^2], shape (6, 6)."""
+        """Return the covariance of the noise, equal for all axes [m^2, rad^2], shape (6, 6)."""
         R, slope = np.zeros((6, 6)), rotation_vector_slope(k.rotation(self.point))
         R[:3, :3] = self.noise**2 * np.eye(3)
         R[3:, 3:] = self.turn_noise**2 * slope.dot(slope.T)

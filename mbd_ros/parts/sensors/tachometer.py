@@ -12,13 +12,13 @@ from mbd_ros.core.state import Array, State
 
 
 class Tachometer(Sensor):
-    """Velocity of a joint, as the drive behind an encoder tells it.
+    """Tachometer: velocity of a joint.
 
     Args:
-        joint: Joint that it is on.
+        joint: Measured joint.
         noise: Standard deviation.
-        label: What recordings and messages call it; empty for its name.
-        delay: From a measurement to its message.
+        label: Name in recordings and messages; by default the name of the sensor.
+        delay: Time from a measurement to its message.
     """
 
     example = {"joint": "ankle", "noise": 0.01}
@@ -41,21 +41,21 @@ class Tachometer(Sensor):
         self.frame = joint
         self.unit = f"{self.joint.position_unit}/s"
         self._row = np.zeros((1, int(robot.model.nv)))
-        self._none = np.zeros_like(self._row)
+        self._zeros = np.zeros_like(self._row)
         self._row[0, self.joint.v] = 1.0
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Velocity of the joint [rad/s or m/s], shape (1,)."""
+        """Return the velocity of the joint [rad/s or m/s], shape (1,)."""
         return np.array((x.v[self.joint.v],))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """Derivative by v, shape (1, nv)."""
+        """Return the derivative with respect to v, shape (1, nv)."""
         return self._row
 
     def by_position(self, k: Kinematics, x: State) -> Array:
-        """Nothing, shape (1, nv)."""
-        return self._none
+        """Return zeros, shape (1, nv)."""
+        return self._zeros
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise [(rad/s)^2 or (m/s)^2], shape (1, 1)."""
+        """Return the covariance of the noise [(rad/s)^2 or (m/s)^2], shape (1, 1)."""
         return np.array(((self.noise**2,),))

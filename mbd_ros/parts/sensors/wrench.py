@@ -12,16 +12,17 @@ from mbd_ros.core.state import Array, State
 
 
 class Wrench(Sensor):
-    """What the parent of a joint exerts on its child, about the origin and in axes of the joint.
+    """Wrench that the parent link of a joint exerts on the child link.
 
-    The axes are those of the child; along the axis of the joint it is what `effort` measures.
+    It is expressed in the axes of the child, about the origin of the joint. Its component along
+    the joint axis is what `effort` measures.
 
     Args:
-        joint: Joint that it is in.
+        joint: Joint that contains the sensor.
         force_noise: Standard deviation of each component of the force.
-        torque_noise: Of each component of the torque.
-        label: Topic of its messages; empty for `~/measured_wrench/<name>`.
-        delay: From a measurement to its message.
+        torque_noise: Standard deviation of each component of the torque.
+        label: Topic of its messages; by default `~/measured_wrench/<name>`.
+        delay: Time from a measurement to its message.
     """
 
     example = {"joint": "ankle"}
@@ -44,12 +45,12 @@ class Wrench(Sensor):
         self.torque_noise = torque_noise
         self.label = label
         self.delay = delay
-        self._row = [one.name for one in robot.joints].index(joint)
+        self._row = [j.name for j in robot.joints].index(joint)
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Force [N], then torque [N·m], shape (6,)."""
+        """Return the force [N], then the torque [N·m], shape (6,)."""
         return np.array(reactions_of(self, now)[self._row])
 
     def covariance(self, k: Kinematics, x: State) -> Array:
-        """Of the noise [N^2, (N·m)^2], shape (6, 6)."""
+        """Return the covariance of the noise [N^2, (N·m)^2], shape (6, 6)."""
         return np.diag(np.repeat((self.force_noise, self.torque_noise), 3) ** 2)

@@ -1,4 +1,4 @@
-"""Feedback of position and velocity violations into the acceleration."""
+"""Baumgarte stabilization of constraints."""
 
 from mbd_ros.core.ranges import Duration
 from mbd_ros.errors import ModelError
@@ -6,18 +6,19 @@ from mbd_ros.methods.projection.assembly import Stabilization
 
 
 class Baumgarte(Stabilization):
-    """g'' + (2 zeta / T) g' + g / T^2 = 0. Violations are bounded, not zero.
+    """Feedback of constraint violations: g'' + (2 zeta / T) g' + g / T^2 = 0.
 
-    The rows of a scene take kp = 1 / T^2 and kd = 2 zeta / T as J a = -drift - kd g' - kp g.
+    Constraints become J a = -drift - kd g' - kp g with kp = 1 / T^2 and kd = 2 zeta / T.
+    Violations stay bounded but do not vanish.
 
-    A time constant below 2 dt would make explicit steps unstable: 2 dt is used then, and `check`
-    and `simulate` say so.
+    Explicit steps are unstable with a time constant below 2 dt. In that case 2 dt is used, and
+    `mbd-ros check` and `simulate` report it.
 
     Source: J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972).
 
     Args:
-        time_constant: T [s], > 0.
-        damping_ratio: zeta, > 0; 1 is critical.
+        time_constant: T, > 0.
+        damping_ratio: zeta, > 0; 1 is critical damping.
     """
 
     example = {"time_constant": 0.02, "damping_ratio": 1.0}
@@ -31,10 +32,10 @@ class Baumgarte(Stabilization):
         self.damping_ratio = damping_ratio
 
     def floor(self, dt: float) -> float:
-        """The time constant that is used with steps of dt [s]."""
+        """Return the time constant for steps of length dt, at least 2 dt [s]."""
         return max(self.time_constant, 2.0 * dt)
 
     def gains(self, dt: float) -> tuple[float, float]:
-        """Kp [1/s^2] and kd [1/s]."""
+        """Return kp [1/s^2] and kd [1/s] for steps of length dt."""
         T = self.floor(dt)
         return 1.0 / T**2, 2.0 * self.damping_ratio / T

@@ -1,9 +1,9 @@
-"""No stabilization: g'' = 0 and nothing else."""
+"""Constraints without stabilization: g'' = 0."""
 
 from mbd_ros.methods.projection.assembly import Stabilization
 
 
 class NoStabilization(Stabilization):
-    """Leaves violations to the integrator: they grow with time, quadratically in position."""
+    """No stabilization: violations grow with time, those of positions quadratically."""
 
     example: dict[str, float] = {}

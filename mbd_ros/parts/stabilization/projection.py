@@ -6,9 +6,9 @@ from mbd_ros.methods.projection.assembly import Stabilization, project
 
 
 class Projection(Stabilization):
-    """Moves every state to the nearest consistent one in the mass metric.
+    """Projection of every state onto the constraints, by the smallest step in the mass metric.
 
-    Violations stay at rounding.
+    Violations stay at the level of rounding errors.
 
     Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
     """
@@ -17,5 +17,5 @@ class Projection(Stabilization):
     example: dict[str, float] = {}
 
     def correct(self, system: System, x: State) -> State:
-        """The nearest state with g = 0 and g' = 0."""
+        """Return the nearest state with g = 0 and g' = 0."""
         return project(system, x)

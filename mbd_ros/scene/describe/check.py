@@ -25,7 +25,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.methods.integration.stepping import BlockStepper
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
@@ -104,7 +104,7 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
     yield "forward", f"refused: {fault}" if fault else _forward(scene, system)
     if scene.solver.compiles:
         yield from compiled_lines(scene, not fault, tell)
-    yield from (("warning", text) for text in robot.doubts)
+    yield from (("warning", text) for text in robot.inertia_warnings)
     yield from _warnings(scene, system, start, factor)
     if not fault:
         yield from step_lines(scene, system, start)
@@ -129,8 +129,8 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     if not scene.has_loops:
         return system.reduce(scene.initial), None
     motion = scene.closed_loop().motion
-    x = scene.initial._replace(q=motion.start(scene.initial))
-    return x, RowFactor(motion.metric(x.q), system.held.jacobian(x.t, x.q))
+    x = scene.initial._replace(q=motion.assemble(scene.initial))
+    return x, RowFactor(motion.metric(x.q), system.bilateral.jacobian(x.t, x.q))
 
 
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
@@ -142,9 +142,9 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     a = system.evaluate(system.expand(x)).a
     if not np.isfinite(a).all():
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return x, None
-    return x, system.held.factor_at(x.t, x.q)
+    return x, system.bilateral.factor_at(x.t, x.q)
 
 
 def _settled(system: System, y: State) -> State:
@@ -158,19 +158,19 @@ def _settled(system: System, y: State) -> State:
 def _apart(system: System, y: State) -> State:
     if not system.layout.cones:
         return y
-    from mbd_ros.methods.projection.initial_state import without_overlap
+    from mbd_ros.methods.projection.initial_state import resolve_overlaps
 
-    return without_overlap(system, y)
+    return resolve_overlaps(system, y)
 
 
 def _reach(scene: Scene, x: State) -> Iterator[Line]:
     """The reach of the actuators at the assembled start, for inverse dynamics."""
     reach = scene.closed_loop().reach(x)
-    names = listed(scene.actuated) or "none"
+    names = join_names(scene.actuated) or "none"
     reason = "" if scene.actuators else "; no actuators section: every independent joint"
     yield "actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven"
     if reach.null_space:
-        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
+        text = f"dimension {reach.null_space}: {join_names(reach.undetermined)}"
         yield "null space", f"{text} are not determined by a motion"
     if reach.undriven:
         joints = ", ".join(reach.undriven)
@@ -180,12 +180,12 @@ def _reach(scene: Scene, x: State) -> Iterator[Line]:
 
 def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
-    rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
+    rows = f", {len(system.bilateral.rows)} rows" if system.bilateral.rows else ""
     method = f"integrator {default_integrator(scene)['type']} by default"
     if scene.integrator is not None:
         method = type(scene.integrator).__name__
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}, dt {scene.dt:g} s"
-    if system.held.rows:
+    if system.bilateral.rows:
         correction = scene.stabilization
         title = "projection by default" if correction is None else type(correction).__name__
         text += f"; stabilization {title}"
@@ -199,7 +199,7 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
         yield "warning", text
     floor = getattr(scene.stabilization, "floor", None)
     if (
-        system.held.rows
+        system.bilateral.rows
         and floor is not None
         and floor(scene.dt) > scene.stabilization.time_constant
     ):
@@ -277,16 +277,16 @@ def _state_lines(internals: Internals, z: Array) -> Iterator[Line]:
 def member_lines(scene: Scene) -> Iterator[Line]:
     """The robots and the other bodies."""
     robot, bodies = scene.robot, scene.parts.get("bodies", {})
-    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+    if len(robot.model_sources) == 1 and not robot.model_sources[0].name:
         yield "robot", f"{robot.name} from {scene.source}, {robot.base_text}"
         return
-    for recipe in robot.recipes:
-        if recipe.name in bodies:
-            how = "free" if recipe.base == "floating" else "placed"
-            yield "body", f"{recipe.name} from {recipe.source}, {how}"
+    for model_source in robot.model_sources:
+        if model_source.name in bodies:
+            how = "free" if model_source.base == "floating" else "placed"
+            yield "body", f"{model_source.name} from {model_source.source}, {how}"
         else:
-            name = f"{recipe.name} from " if recipe.name else ""
-            yield "robot", f"{name}{recipe.source}, {recipe.base} base"
+            name = f"{model_source.name} from " if model_source.name else ""
+            yield "robot", f"{name}{model_source.source}, {model_source.base} base"
 
 
 def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
@@ -303,7 +303,7 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
     method = integrator_of(scene)
     name, order = type(method).__name__, method.order
     if method.at_velocity_level:
-        names = listed([block.part.name for block in layout.yielding])
+        names = join_names([block.part.name for block in layout.yielding])
         yield "stepped", f"{names}; solved for once a step of {name}, impacts included"
         return
     exact, smoothed = (
@@ -312,20 +312,20 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
     )
     if exact:
         text = "steps end where rows begin and cease to act"
-        yield "exact", f"{listed(exact)}; {text}, {name} keeps its order {order}"
+        yield "exact", f"{join_names(exact)}; {text}, {name} keeps its order {order}"
     if smoothed:
         where = "in steps in which a row begins or ceases to act"
         cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
         if order <= SMOOTHED_ORDER:
             cost = f"{name} has order {order} all the same"
-        yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
+        yield "smoothed", f"{join_names(smoothed)}; solved for in every evaluation, {cost}"
 
 
 def contact_words(part: Any) -> str:
     """Bodies and features, and whether events of a rigid contact can be found."""
     a, b = part.pair.between
     count = f"{len(part.features)} features: " if len(part.features) > 1 else ""
-    text = f"between {a.frame} and {b.frame}, {count}{listed(part.features)}"
+    text = f"between {a.frame} and {b.frame}, {count}{join_names(part.features)}"
     law = getattr(part, "law", None)
     if law is None or law.kind is not Kind.CONE:
         return text
@@ -335,7 +335,7 @@ def contact_words(part: Any) -> str:
 
 
 def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[Line]:
-    """What was compiled for a scene that asks for it, and what a step costs.
+    """Yield lines on compiled steps of a scene that asks for them, and their cost.
 
     Args:
         has_start: Whether it has a start from which steps can be taken.
@@ -359,7 +359,7 @@ def unused_rubbing(scene: Scene) -> Iterator[str]:
         joint = getattr(getattr(part, "joint", None), "name", None)
         covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
     for key in ("friction", "damping"):
-        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        names = [n for n, rub in scene.robot.joint_friction.items() if getattr(rub, key)]
         lacking = [name for name in names if (key, name) not in covered]
         if lacking:
             yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
@@ -371,12 +371,12 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     Args:
         x: Consistent start of what it integrates.
     """
-    model, given = system.model, scene.initial
-    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
+    model, entry = system.model, scene.initial
+    bare = _best(partial(pin.aba, model, pin.Data(model), entry.q, entry.v, np.zeros(model.nv)))
     y = x  # else in its mode
-    if system.exact is not None:
+    if system.event_rows is not None:
         simulation = build_simulation(scene, solver=_PLAIN)
-        y = inward(simulation.system, simulation.start(given))
+        y = inward(simulation.system, simulation.start(entry))
     ours = _best(evaluation_at(system, y))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 
@@ -405,7 +405,7 @@ def inverse_cost(scene: Scene, x: State) -> str:
 def _loop_cost(scene: Scene, x: State) -> str:
     drives = [section.key for section in scene.sections if "command" in section.offers]
     every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
-    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    x, a = every.project_motion(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
     return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
 
@@ -437,7 +437,7 @@ def step_costs(scene: Scene, simulation: Simulation) -> str:
 def _step_time(simulation: Simulation, scene: Scene) -> float:
     """Shortest time of a step from the start on, with its corrections [s]."""
     y = simulation.start(scene.initial)
-    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
+    u, stepper = simulation.system.loads.sources.hold(y.t), simulation.stepper
     if isinstance(stepper, BlockStepper):
         return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
     return _shortest(lambda: _advanced(simulation, y, u))

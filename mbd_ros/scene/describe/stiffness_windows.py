@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import State
@@ -44,7 +45,8 @@ def step_lines(scene: Scene, system: System, x: State) -> Iterator[Line]:
 
 
 def _windows(scene: Scene, system: System, x: State) -> Iterator[Line]:
-    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    contacts = scene.parts.get("contacts", ())
+    parts = [part for part in contacts if isinstance(part, Load) and part.is_compliant_contact]
     if not parts:
         return
     method = integrator_of(scene)

@@ -1,4 +1,4 @@
-"""What a model of another program becomes, and what of it a scene does not have.
+"""An imported model of another program: URDF, sections, and a list of what was left out.
 
 Files of models are read leniently: in old encodings, and where strict readers of XML refuse them.
 """
@@ -20,7 +20,7 @@ MAX_BYTES = 64 * 1024 * 1024
 
 
 class Imported(NamedTuple):
-    """What a model becomes.
+    """A model as URDF and sections of a scene.
 
     Attributes:
         name: Of the model.

@@ -35,13 +35,13 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
         return origin, entries
     if origin.model is not None and origin.model.brought.get("robot") == robot:
         return origin, entries
-    own = _without(entries, {} if origin.model is None else origin.model.brought)
+    changes = _without(entries, {} if origin.model is None else origin.model.brought)
     where = f"{origin.name}: robot"
     file, imported = _imported(origin, robot, where, form)
     brought, absent = brought_sections(imported)
-    merged = {**own, "robot": _merged_robot(imported.robot, robot, "gravity" in entries)}
-    for key, given in brought.items():
-        merged[key] = _merged(given, own.get(key), f"{origin.name}: {key}")
+    merged = {**changes, "robot": _merged_robot(imported.robot, robot, "gravity" in entries)}
+    for key, entry in brought.items():
+        merged[key] = _merged(entry, changes.get(key), f"{origin.name}: {key}")
     lines = (*absent, *_grouped(imported))
     brought["robot"] = merged["robot"]
     return origin._replace(model=Model(file, imported.urdf, brought, lines)), merged
@@ -49,23 +49,23 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
 
 def _named(robot: Any) -> str:
     """The format of the model that a robot names, empty without one."""
-    given = robot if isinstance(robot, dict) else {}
-    return next((key for key in FORMATS if given.get(key) is not None), "")
+    entry = robot if isinstance(robot, dict) else {}
+    return next((key for key in FORMATS if entry.get(key) is not None), "")
 
 
 def _without(entries: Entries, brought: Entries) -> dict[str, Any]:
     """Entries without those that a model brought before."""
-    own = dict(entries)
+    result = dict(entries)
     for key, before in brought.items():
-        given = own.get(key)
-        if key == "robot" or given is None:
+        entry = result.get(key)
+        if key == "robot" or entry is None:
             continue
         if isinstance(before, dict):
-            kept = {k: v for k, v in given.items() if k not in before or before[k] != v}
+            kept = {k: v for k, v in entry.items() if k not in before or before[k] != v}
         else:
-            kept = [one for one in given if one not in before]
-        own[key] = kept or None
-    return {key: given for key, given in own.items() if given is not None}
+            kept = [one for one in entry if one not in before]
+        result[key] = kept or None
+    return {key: entry for key, entry in result.items() if entry is not None}
 
 
 def _imported(origin: Origin, robot: Entries, where: str, form: str) -> tuple[str, Imported]:
@@ -99,36 +99,36 @@ def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> I
 def brought_sections(imported: Imported) -> tuple[dict[str, Any], list[str]]:
     """Sections of a model that a scene has, and what is left out of them."""
     known = set(keys(SECTIONS))
-    brought = {key: given for key, given in imported.sections.items() if key in known}
+    brought = {key: entry for key, entry in imported.sections.items() if key in known}
     absent = [f"section {key}" for key in imported.sections if key not in known]
     return brought, absent
 
 
-def _merged_robot(brought: Entries, given: Entries, has_gravity: bool) -> dict[str, Any]:
-    robot = {**brought, **given}
+def _merged_robot(brought: Entries, entry: Entries, has_gravity: bool) -> dict[str, Any]:
+    robot = {**brought, **entry}
     for key in ("locked", "rename"):
-        both = {**brought.get(key, {}), **(given.get(key) or {})}
+        both = {**brought.get(key, {}), **(entry.get(key) or {})}
         robot[key] = {name: value for name, value in both.items() if value is not None}
-    if has_gravity and "gravity" not in given:
+    if has_gravity and "gravity" not in entry:
         del robot["gravity"]
     return {key: value for key, value in robot.items() if value != {}}
 
 
-def _merged(brought: Any, own: Any, where: str) -> Any:
+def _merged(brought: Any, entry_of_file: Any, where: str) -> Any:
     """A section of a model with the entries of a scene, which win where names are the same."""
-    if own is None:
+    if entry_of_file is None:
         return brought
     if isinstance(brought, dict):
-        own = schema.value(own, Mapping[str, Any], where)
+        entry_of_file = schema.value(entry_of_file, Mapping[str, Any], where)
         inner = {
-            key: {**brought[key], **own[key]}
-            for key in brought.keys() & own.keys()
-            if where.endswith("initial") and isinstance(own[key], dict)
+            key: {**brought[key], **entry_of_file[key]}
+            for key in brought.keys() & entry_of_file.keys()
+            if where.endswith("initial") and isinstance(entry_of_file[key], dict)
         }
-        return {**brought, **own, **inner}
-    own = schema.value(own, Sequence[Any], where)
-    names = {entry.get("name") for entry in own if isinstance(entry, dict)}
-    return [*(entry for entry in brought if entry.get("name") not in names), *own]
+        return {**brought, **entry_of_file, **inner}
+    entry_of_file = schema.value(entry_of_file, Sequence[Any], where)
+    names = {entry.get("name") for entry in entry_of_file if isinstance(entry, dict)}
+    return [*(entry for entry in brought if entry.get("name") not in names), *entry_of_file]
 
 
 def _grouped(imported: Imported) -> list[str]:

@@ -153,7 +153,7 @@ class UrdfJoint(NamedTuple):
 
 
 class Mass(NamedTuple):
-    """What a link weighs.
+    """Mass properties of a link.
 
     Attributes:
         mass: [kg].
@@ -203,7 +203,7 @@ class Names:
         return name
 
     def part(self, wish: str, ending: str) -> str:
-        """As `take`, of the characters that names of parts of a scene have."""
+        """Take a name that consists of characters allowed in names of parts."""
         return self.take(plain(wish) or ending, ending)
 
 
@@ -225,7 +225,7 @@ class Function(NamedTuple):
 
     @property
     def slope(self) -> float | None:
-        """Of a straight line, else None."""
+        """Slope of a straight line; None for other functions."""
         return self.entry.get("factor")
 
     @property
@@ -258,8 +258,8 @@ def sine(
     """f(q) = offset + amplitude sin(angular_frequency q + phase)."""
     if amplitude * angular_frequency == 0.0:
         return constant(amplitude * math.sin(phase) + offset)
-    given = {"amplitude": amplitude, "angular_frequency": angular_frequency}
-    return Function({"harmonic": {**given, "phase": phase, "offset": offset}})
+    harmonic = {"amplitude": amplitude, "angular_frequency": angular_frequency}
+    return Function({"harmonic": {**harmonic, "phase": phase, "offset": offset}})
 
 
 def joint_titles(links: Sequence[str], joints: Sequence[UrdfJoint]) -> dict[str, str]:

@@ -86,11 +86,11 @@ class MoleculeEntry(NamedTuple):
     placement: Any
 
 
-def read_molecule(name: str, given: Any, where: str, fields: tuple[Field, ...]) -> MoleculeEntry:
+def read_molecule(name: str, value: Any, where: str, fields: tuple[Field, ...]) -> MoleculeEntry:
     """A kind of molecules.
 
     Args:
-        given: What the file holds.
+        value: What the file holds.
         where: File and key, for the messages.
         fields: What acts on its atoms.
 
@@ -98,7 +98,7 @@ def read_molecule(name: str, given: Any, where: str, fields: tuple[Field, ...]) 
         SceneError: Names file, key and atom.
     """
     checked_name(name, where)
-    entry: _Molecule = schema.call(_Molecule, given, where)
+    entry: _Molecule = schema.call(_Molecule, value, where)
     if not entry.atoms:
         raise SceneError(f"{where}.atoms: there is none")
     atoms = tuple(
@@ -194,8 +194,8 @@ def joined(template: Template, bonds: Any, angles: Any, torsions: Any) -> Joined
     rows: list[PointRow] = []
     terms: list[ElasticTerm] = []
     lengths: dict[frozenset[int], float] = {}
-    for where, given in _entries(template, "bonds", bonds):
-        bond = schema.call(_Bond, given, where)
+    for where, entry in _entries(template, "bonds", bonds):
+        bond = schema.call(_Bond, entry, where)
         i, j = template.numbers(bond.between, 2, where)
         apart = float(np.linalg.norm(template.at[i] - template.at[j]))
         length = apart if bond.length is None else bond.length
@@ -208,22 +208,22 @@ def joined(template: Template, bonds: Any, angles: Any, torsions: Any) -> Joined
             rows.append(DistanceRow("_".join(bond.between), i, j, length))
         else:
             terms.append(ElasticBond(i, j, length, bond.stiffness))
-    for where, given in _entries(template, "angles", angles):
-        _add_angle(template, where, given, lengths, (rows, terms))
-    for where, given in _entries(template, "torsions", torsions):
-        torsion = schema.call(_Torsion, given, where)
+    for where, entry in _entries(template, "angles", angles):
+        _add_angle(template, where, entry, lengths, (rows, terms))
+    for where, entry in _entries(template, "torsions", torsions):
+        torsion = schema.call(_Torsion, entry, where)
         first, second, third, fourth = template.numbers(torsion.between, 4, where)
         terms.append(Torsion((first, second, third, fourth), tuple(torsion.cosines)))
     return Joined(rows, terms)
 
 
-def _entries(template: Template, key: str, given: Any) -> list[tuple[str, Any]]:
-    if given is None:
+def _entries(template: Template, key: str, value: Any) -> list[tuple[str, Any]]:
+    if value is None:
         return []
     where = f"{template.where}.{key}"
-    if not isinstance(given, list):
-        raise SceneError(f"{where}: expected a list, got {given!r}")
-    return [(f"{where}[{i}]", entry) for i, entry in enumerate(given)]
+    if not isinstance(value, list):
+        raise SceneError(f"{where}: expected a list, got {value!r}")
+    return [(f"{where}[{i}]", entry) for i, entry in enumerate(value)]
 
 
 @dataclass(frozen=True)
@@ -236,12 +236,12 @@ class _Bond:
 def _add_angle(
     template: Template,
     where: str,
-    given: Any,
+    entry: Any,
     lengths: Mapping[frozenset[int], float],
     out: tuple[list[PointRow], list[ElasticTerm]],
 ) -> None:
     """A rigid angle is the distance of its ends; both its bonds must have lengths."""
-    angle = schema.call(_Angle, given, where)
+    angle = schema.call(_Angle, entry, where)
     i, j, k = template.numbers(angle.between, 3, where)
     a, b = template.at[i] - template.at[j], template.at[k] - template.at[j]
     size = angle.angle
@@ -274,18 +274,18 @@ class _Torsion:
     cosines: Sequence[float]
 
 
-def surfaces(template: Template, given: Any, length: float) -> list[PointRow]:
+def surfaces(template: Template, value: Any, length: float) -> list[PointRow]:
     """Rows that hold atoms on surfaces.
 
     Args:
-        given: What the file holds.
+        value: What the file holds.
         length: A length of the scene, for surfaces that have none.
 
     Raises:
         SceneError: Names file, key and atom.
     """
     rows: list[PointRow] = []
-    for where, entry in _entries(template, "surfaces", given):
+    for where, entry in _entries(template, "surfaces", value):
         surface = schema.call(_Surface, entry, where)
         number, name = template.number(surface.atom, f"{where}.atom"), surface.atom
         squares, normal, level, size = _quadric(surface, where, length)
@@ -366,17 +366,17 @@ def _assembled(kind: Molecules, where: str) -> Array:
     return at[:, :, 0]
 
 
-def _sites(template: Template, given: Any) -> tuple[tuple[Site, ...], Array]:
+def _sites(template: Template, entry: Any) -> tuple[tuple[Site, ...], Array]:
     """Sites of a molecule, and the weights of its atoms.
 
     Raises:
         SceneError: Names file, key and atom.
     """
     where, sites = f"{template.where}.sites", []
-    if given is not None and not isinstance(given, Mapping):
-        raise SceneError(f"{where}: expected a mapping, got {given!r}")
-    weights = np.zeros((len(given or ()), len(template.names)))
-    for row, (name, one) in zip(weights, (given or {}).items(), strict=True):
+    if entry is not None and not isinstance(entry, Mapping):
+        raise SceneError(f"{where}: expected a mapping, got {entry!r}")
+    weights = np.zeros((len(entry or ()), len(template.names)))
+    for row, (name, one) in zip(weights, (entry or {}).items(), strict=True):
         place = f"{where}.{checked_name(name, where)}"
         site: Site = schema.call(Site, one, place)
         for atom, weight in site.weights.items():

@@ -73,7 +73,7 @@ class ParticleScene:
 
     @property
     def record(self) -> Record:
-        """What results hold."""
+        """The quantities that results hold."""
         record: Record = self.parts["record"]
         return record
 
@@ -110,7 +110,7 @@ class ParticleScene:
         """
         method = self.method if integrator is None else _method(integrator, self.name)
         try:
-            stepper: Any = method.prepare(self.system(), self.dt if dt is None else dt)
+            stepper: Any = method.prepare_particles(self.system(), self.dt if dt is None else dt)
         except ModelError as error:
             raise SceneError(f"{self.name}: integrator: {error}") from error
         steps: ParticleVerlet = stepper
@@ -158,7 +158,7 @@ def compiled_system(system: ParticleSystem, force_unit: str) -> ParticleSystem:
 
 
 def _steps(system: ParticleSystem) -> Callable[[Molecules, float, bool], KindSteps] | None:
-    """What takes half steps of a kind; None where none is native."""
+    """Return a function for half steps of a kind of molecule; None without native code."""
     if not any(len(kind.atoms) == 3 and len(kind.rows) == 3 for kind in system.kinds):
         return None
     from mbd_ros.compiled.particles.molecule_steps import CompiledTriangles, is_compiled
@@ -170,13 +170,13 @@ def _steps(system: ParticleSystem) -> Callable[[Molecules, float, bool], KindSte
     return steps
 
 
-def _method(given: Any, where: str) -> Integrator:
-    kind = given.get("type") if isinstance(given, Mapping) else given
+def _method(entry: Any, where: str) -> Integrator:
+    kind = entry.get("type") if isinstance(entry, Mapping) else entry
     if kind not in METHODS:
         raise SceneError(
             f"{where}: {kind!r} does not step particles; accepted: {', '.join(METHODS)}"
         )
-    method: Integrator = build_part("integrators", given, where)
+    method: Integrator = build_part("integrators", entry, where)
     return method
 
 
@@ -191,6 +191,6 @@ def build_particle_scene(origin: Origin, entries: Mapping[str, Any]) -> Particle
     return ParticleScene(origin, build(origin, entries, PARTICLES).parts, entries)
 
 
-def build_method(site: Any, given: Any) -> Integrator:
+def build_method(site: Any, entry: Any) -> Integrator:
     """The section `integrator`."""
-    return _method(given, site.where)
+    return _method(entry, site.where)

@@ -69,31 +69,31 @@ class Particles(NamedTuple):
     at: Array
 
 
-def build_particles(site: BuildingSite, given: Any) -> Particles:
+def build_particles(site: BuildingSite, value: Any) -> Particles:
     """The section `particles`.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     where, units = site.where, site.parts["units"]
-    entry: _Entry = schema.call(_Entry, given, where)
+    entry: _Entry = schema.call(_Entry, value, where)
     box = _box(entry.box, f"{where}.box")
     fields = read_fields(entry.fields, f"{where}.fields")
     if not entry.molecules:
         raise SceneError(f"{where}.molecules: there is none")
     entries = tuple(
-        read_molecule(name, one, f"{where}.molecules.{name}", fields)
-        for name, one in entry.molecules.items()
+        read_molecule(name, molecule, f"{where}.molecules.{name}", fields)
+        for name, molecule in entry.molecules.items()
     )
-    count = sum(one.kind.size for one in entries)
+    count = sum(molecule.kind.size for molecule in entries)
     if count > MOST:
         raise SceneError(f"{where}: {count} particles, accepted are {MOST}")
     room = Room(site.origin.folder, units, box)
-    at = np.concatenate([placed(one, room) for one in entries])
+    at = np.concatenate([placed(molecule, room) for molecule in entries])
     pairs = None
     if entry.pairs is not None:
         pairs = read_pairs(entry.pairs, f"{where}.pairs", entries, box, units)
-    system = ParticleSystem([one.kind for one in entries], pairs, units.force)
+    system = ParticleSystem([molecule.kind for molecule in entries], pairs, units.force)
     _refuse_repeated(system, where)
     return Particles(system, entries, box, at)
 
@@ -108,12 +108,12 @@ class _Entry:
     pairs: Any = None
 
 
-def _box(given: Sequence[float] | None, where: str) -> Array | None:
-    if given is None:
+def _box(edges: Sequence[float] | None, where: str) -> Array | None:
+    if edges is None:
         return None
-    box = np.array(given)
+    box = np.array(edges)
     if not (box > 0.0).all():
-        raise SceneError(f"{where}: {given}: edges must be > 0")
+        raise SceneError(f"{where}: {edges}: edges must be > 0")
     return box
 
 
@@ -125,13 +125,13 @@ def _refuse_repeated(system: ParticleSystem, where: str) -> None:
         raise SceneError(f"{where}.molecules: two atoms are called {twice[0]}; rename one")
 
 
-def build_start(site: BuildingSite, given: Any) -> State:
+def build_start(site: BuildingSite, positions: Any) -> State:
     """The section `initial`: positions and velocities, moved onto the rows.
 
     Raises:
         SceneError: Names file, key and particle.
     """
-    entry: _Initial = schema.call(_Initial, given, site.where)
+    entry: _Initial = schema.call(_Initial, positions, site.where)
     particles: Particles = site.parts["particles"]
     units: Units = site.parts["units"]
     system, q, v = particles.system, particles.at.copy(), np.zeros_like(particles.at)
@@ -183,11 +183,11 @@ def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -
         x = pairs.sites.with_sites(x)
         names += pairs.sites.count * ("a site",)
     sigma = float(model.sigma.max()) or 0.01 * model.cutoff
-    found = pairs.pairs_within(x, _OVERLAP * sigma)
-    d = x[found.i] - x[found.j]
+    overlaps = pairs.pairs_within(x, _OVERLAP * sigma)
+    d = x[overlaps.i] - x[overlaps.j]
     if model.box is not None:
         d -= model.box * np.rint(d / model.box)
-    of_types = model.types[found.i], model.types[found.j]
+    of_types = model.types[overlaps.i], model.types[overlaps.j]
     accepted = np.maximum(
         np.where(model.epsilon[of_types] > 0.0, _OVERLAP * model.sigma[of_types], 0.0),
         _ON_ONE_PLACE * sigma,
@@ -196,22 +196,22 @@ def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -
     if not (apart < accepted).any():
         return
     worst = int(np.argmin(apart / accepted))
-    both = f"{names[found.i[worst]]} and {names[found.j[worst]]}"
+    both = f"{names[overlaps.i[worst]]} and {names[overlaps.j[worst]]}"
     raise SceneError(
         f"{where}: {np.count_nonzero(apart < accepted)} pairs of particles overlap; {both} are "
         f"{apart[worst]:.3g} apart, accepted: {accepted[worst]:.3g} or more between molecules"
     )
 
 
-def build_time_step(site: BuildingSite, given: Any) -> float:
+def build_time_step(site: BuildingSite, entry: Any) -> float:
     """The section `dt`, in the unit of time of the scene."""
-    step: float = schema.value(given, Step, site.where)
+    step: float = schema.value(entry, Step, site.where)
     return step
 
 
-def build_record(site: BuildingSite, given: Any) -> Record:
+def build_record(site: BuildingSite, entry: Any) -> Record:
     """The section `record`."""
-    record: Record = schema.call(Record, given, site.where)
+    record: Record = schema.call(Record, entry, site.where)
     for name in record.quantities or ():
         if name not in QUANTITIES:
             accepted = ", ".join(QUANTITIES)
@@ -232,9 +232,9 @@ class Record:
     quantities: Sequence[str] | None = None
 
 
-def build_solver(site: BuildingSite, given: Any) -> ParticleSolver:
+def build_solver(site: BuildingSite, entry: Any) -> ParticleSolver:
     """The section `solver`."""
-    solver: ParticleSolver = schema.call(ParticleSolver, given, site.where)
+    solver: ParticleSolver = schema.call(ParticleSolver, entry, site.where)
     return solver
 
 
@@ -250,21 +250,21 @@ class ParticleSolver:
     type: Literal["plain", "compiled", "auto"] = "plain"
 
 
-def build_units(site: BuildingSite, given: Any) -> Units:
+def build_units(site: BuildingSite, entry: Any) -> Units:
     """Units by name, or by length, time and mass that belong together.
 
     Raises:
         SceneError: Other words, or units of two systems.
     """
-    if isinstance(given, str) and given in UNITS:
-        return UNITS[given]
-    if not isinstance(given, Mapping) or set(given) != set(_KEYS):
-        raise SceneError(f"{site.where}: got {given!r}, accepted: {_ACCEPTED}")
-    words = tuple(given[key] for key in _KEYS)
+    if isinstance(entry, str) and entry in UNITS:
+        return UNITS[entry]
+    if not isinstance(entry, Mapping) or set(entry) != set(_KEYS):
+        raise SceneError(f"{site.where}: got {entry!r}, accepted: {_ACCEPTED}")
+    words = tuple(entry[key] for key in _KEYS)
     for units in (SI, MOLECULAR, REDUCED):
-        if words == units.words[:3]:
+        if words == units.symbols[:3]:
             return units
-    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.words[:3]}
+    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.symbols[:3]}
     unknown = [word for word in words if not isinstance(word, str) or word not in owners]
     if unknown:
         raise SceneError(f"{site.where}: unknown unit {unknown[0]!r}, accepted: {_ACCEPTED}")
@@ -272,17 +272,17 @@ def build_units(site: BuildingSite, given: Any) -> Units:
     raise SceneError(f"{site.where}: units of two systems, {mixed}; accepted: {_ACCEPTED}")
 
 
-def read_fields(given: Any, where: str) -> tuple[Field, ...]:
+def read_fields(value: Any, where: str) -> tuple[Field, ...]:
     """The fields of the section.
 
     Raises:
         SceneError: Names file and key.
     """
-    if given is None:
+    if value is None:
         return ()
-    if not isinstance(given, list):
-        raise SceneError(f"{where}: expected a list, got {given!r}")
-    return tuple(_field(entry, f"{where}[{i}]") for i, entry in enumerate(given))
+    if not isinstance(value, list):
+        raise SceneError(f"{where}: expected a list, got {value!r}")
+    return tuple(_field(entry, f"{where}[{i}]") for i, entry in enumerate(value))
 
 
 def _field(entry: Any, where: str) -> Field:
@@ -293,8 +293,10 @@ def _field(entry: Any, where: str) -> Field:
     if kind == "uniform":
         uniform: _Uniform = schema.call(_Uniform, rest, where)
         return UniformField(np.array(uniform.acceleration))
-    given: _Polynomial = schema.call(_Polynomial, rest, where)
-    terms = [schema.call(_Term, term, f"{where}.terms[{i}]") for i, term in enumerate(given.terms)]
+    positions: _Polynomial = schema.call(_Polynomial, rest, where)
+    terms = [
+        schema.call(_Term, term, f"{where}.terms[{i}]") for i, term in enumerate(positions.terms)
+    ]
     for i, term in enumerate(terms):
         if len(term.powers) != 3 or not all(0 <= p <= _HIGHEST for p in term.powers):
             raise SceneError(
@@ -312,32 +314,38 @@ class _Term:
 
 
 def read_pairs(
-    given: Any, where: str, entries: tuple[MoleculeEntry, ...], box: Array | None, units: Units
+    value: Any, where: str, entries: tuple[MoleculeEntry, ...], box: Array | None, units: Units
 ) -> Pairs:
     """Forces between the molecules.
 
     Raises:
         SceneError: Names file and key.
     """
-    entry: _PairsEntry = schema.call(_PairsEntry, given, where)
+    entry: _PairsEntry = schema.call(_PairsEntry, value, where)
     if box is not None and entry.cutoff > 0.5 * float(box.min()):
         raise SceneError(
             f"{where}.cutoff: {entry.cutoff:g} is more than half the shortest edge of the box, "
             f"{box.min():g}: a point would feel two images of another"
         )
     atoms: list[Atom | Site] = [
-        a for one in entries for _ in range(one.kind.count) for a in one.atoms
+        a for molecule in entries for _ in range(molecule.kind.count) for a in molecule.atoms
     ]
     sites = _sites(entries, len(atoms))
-    atoms += [site for one in entries for _ in range(one.kind.count) for site in one.sites]
+    atoms += [
+        site for molecule in entries for _ in range(molecule.kind.count) for site in molecule.sites
+    ]
     if not any(atom.charge or atom.epsilon for atom in atoms):
         raise SceneError(f"{where}: no atom has a charge, or sigma and epsilon")
     with np.errstate(all="ignore"):
         model = _model(entry.cutoff, box, atoms, units)
         if not np.isfinite(model.powers).all():
             raise SceneError(f"{where}: sigma and epsilon beside this cutoff overflow")
-    numbers = np.arange(sum(one.kind.count for one in entries), dtype=np.int32)
-    sizes = [[len(one.atoms), len(one.sites)] for one in entries for _ in range(one.kind.count)]
+    numbers = np.arange(sum(molecule.kind.count for molecule in entries), dtype=np.int32)
+    sizes = [
+        [len(molecule.atoms), len(molecule.sites)]
+        for molecule in entries
+        for _ in range(molecule.kind.count)
+    ]
     molecules = np.concatenate([np.repeat(numbers, size) for size in zip(*sizes, strict=True)])
     near = importlib.import_module(_TREE).near_pairs
     return Pairs(model, molecules, near, PlainKernel(model), sites)
@@ -355,10 +363,10 @@ class _PairsEntry:
 def _sites(entries: tuple[MoleculeEntry, ...], atoms: int) -> Sites | None:
     """The points without mass; None without any."""
     groups, first = [], 0
-    for one in entries:
-        if one.sites:
-            groups.append(SiteGroup(first, one.kind.count, one.weights))
-        first += one.kind.size
+    for entry in entries:
+        if entry.sites:
+            groups.append(SiteGroup(first, entry.kind.count, entry.weights))
+        first += entry.kind.size
     return Sites(groups, atoms) if groups else None
 
 

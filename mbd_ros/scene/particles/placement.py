@@ -28,7 +28,7 @@ _UNLIKE = 0.4  # of a length: what its bond in a file differs by, if it is that 
 
 
 class Room(NamedTuple):
-    """What placements need to know.
+    """The box and the molecules that are placed already.
 
     Attributes:
         folder: Where relative paths start.
@@ -107,7 +107,7 @@ def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
             f"{where}.file: {path} has {len(metres)} atoms, accepted: {kind.size}, "
             f"{kind.count} times {', '.join(kind.atoms)}"
         )
-    return _whole(kind, metres / room.units.sizes[0], room.box, f"{where}.file: {path}")
+    return _unwrapped(kind, metres / room.units.sizes[0], room.box, f"{where}.file: {path}")
 
 
 def read_coordinates(path: Path, where: str) -> Array:
@@ -161,31 +161,31 @@ def _xyz(lines: list[str]) -> Iterator[list[float]]:
         yield [float(word) for word in line.split()[1:4]]
 
 
-def _whole(kind: Molecules, x: Array, box: Array | None, where: str) -> Array:
+def _unwrapped(kind: Molecules, x: Array, box: Array | None, where: str) -> Array:
     """The same positions, molecules that the box cuts put together.
 
     Raises:
         SceneError: A bond is far from its length: the atoms stand in another order.
     """
-    whole = x.reshape(kind.count, -1, 3)
+    positions = x.reshape(kind.count, -1, 3)
     if box is not None:
-        whole = whole - box * np.rint((whole - whole[:, :1]) / box)
+        positions = positions - box * np.rint((positions - positions[:, :1]) / box)
     for row in kind.rows:
         if not isinstance(row, DistanceRow):
             continue
-        apart = np.linalg.norm(whole[:, row.i] - whole[:, row.j], axis=1)
+        apart = np.linalg.norm(positions[:, row.i] - positions[:, row.j], axis=1)
         k = int(np.argmax(np.abs(apart / row.length - 1.0)))
         if not abs(apart[k] / row.length - 1.0) <= _UNLIKE:
             raise SceneError(
                 f"{where}: {row.name} of molecule {k + 1} is {apart[k]:.3g} long, accepted: about "
                 f"{row.length:.3g}; are its atoms in the order {', '.join(kind.atoms)}?"
             )
-    return whole.reshape(-1, 3)
+    return positions.reshape(-1, 3)
 
 
-def _offsets(given: Sequence[Any], count: int, where: str) -> Array:
+def _offsets(rows: Sequence[Any], count: int, where: str) -> Array:
     try:
-        offsets = np.array(given, dtype=np.float64)
+        offsets = np.array(rows, dtype=np.float64)
     except (TypeError, ValueError):
         offsets = np.zeros(0)
     if offsets.shape != (count, 3) or not np.isfinite(offsets).all():

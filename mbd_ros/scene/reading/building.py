@@ -22,12 +22,12 @@ _NAME, _OTHER = re.compile(r"[\w/-]{1,255}"), re.compile(r"[^\w/-]")
 _PLACES = ("joint", "joints", "frame", "frame_b", "frame_a", "path")
 
 
-class Kept(NamedTuple):
-    """What is built already.
+class Prebuilt(NamedTuple):
+    """Sections and parts that need not be built again.
 
     Attributes:
         sections: Whole sections by key.
-        parts: Parts of others: by key of the section, then as in `Site.kept`.
+        parts: Parts of others: by key of the section, then as in `Site.prebuilt`.
     """
 
     sections: Mapping[str, Any] = MappingProxyType({})
@@ -38,14 +38,14 @@ def build(
     origin: Origin,
     entries: Mapping[str, Any],
     table: Sequence[Section],
-    kept: Kept = Kept(),  # noqa: B008, a constant
+    prebuilt: Prebuilt = Prebuilt(),  # noqa: B008, a constant
     scene: Scene | None = None,
 ) -> Built:
     """Build the sections from their entries, in the order that `after` demands.
 
     Args:
         origin: Where the entries come from.
-        kept: What is built already.
+        prebuilt: Sections and parts that need not be built again.
         scene: The scene that a task is asked of; None for the sections of a scene.
 
     Raises:
@@ -54,13 +54,13 @@ def build(
     parts: dict[str, Any] = {}
     robot: Robot | None = None
     for section in ordered(table):
-        given = entries.get(section.key, section.absent)
-        if section.key in kept.sections:
-            parts[section.key] = kept.sections[section.key]
-        elif given is not None:
-            others = kept.parts.get(section.key, {})
+        entry = entries.get(section.key, section.absent)
+        if section.key in prebuilt.sections:
+            parts[section.key] = prebuilt.sections[section.key]
+        elif entry is not None:
+            others = prebuilt.parts.get(section.key, {})
             site = Site(section, origin, robot, parts, others, scene)
-            parts[section.key] = _builder(section)(site, given)
+            parts[section.key] = _builder(section)(site, entry)
         else:
             continue
         if section.key == "robot":
@@ -96,8 +96,8 @@ class Site(NamedTuple):
         origin: The file, or where else the entries came from.
         robot: The robot with the inertia of the drives that are built; None before it is.
         parts: The sections that are built, by key.
-        kept: Parts of this section that are built already, by their place in the list or by their
-            key; a builder may build them again.
+        prebuilt: Parts of this section that need not be built again, by their place in the list or
+            by their key; a builder may build them again.
         scene: The scene that a task is asked of; None while a scene is built.
     """
 
@@ -105,7 +105,7 @@ class Site(NamedTuple):
     origin: Origin
     robot: Robot | None
     parts: Mapping[str, Any]
-    kept: Mapping[Any, Any] = MappingProxyType({})
+    prebuilt: Mapping[Any, Any] = MappingProxyType({})
     scene: Scene | None = None
 
     @property
@@ -201,29 +201,29 @@ class NamedEntry(NamedTuple):
 
     Attributes:
         where: File and key, for the messages.
-        given: What the file holds, without the name.
+        value: The value in the file, without the name.
         name: As given; None leaves it to `name_parts`.
     """
 
     where: str
-    given: Any
+    value: Any
     name: str | None
 
 
-def named_entry(given: Any, where: str) -> NamedEntry:
+def named_entry(entry: Any, where: str) -> NamedEntry:
     """An entry whose name is told from what its part is built of.
 
     Args:
-        given: What the file holds.
+        entry: What the file holds.
         where: File and key, for the messages.
 
     Raises:
         SceneError: A name that is not accepted.
     """
-    if not isinstance(given, Mapping) or "name" not in given:
-        return NamedEntry(where, given, None)
-    rest = {key: value for key, value in given.items() if key != "name"}
-    return NamedEntry(where, rest, checked_name(given["name"], f"{where}.name"))
+    if not isinstance(entry, Mapping) or "name" not in entry:
+        return NamedEntry(where, entry, None)
+    rest = {key: value for key, value in entry.items() if key != "name"}
+    return NamedEntry(where, rest, checked_name(entry["name"], f"{where}.name"))
 
 
 def checked_name(name: Any, where: str) -> str:
@@ -261,7 +261,7 @@ def name_parts(
     for entry, part in zip(entries, parts, strict=True):
         name = entry.name
         if name is None:
-            words = (_place(entry.given, robot), type_name(type(part)))
+            words = (_place(entry.value, robot), type_name(type(part)))
             default = getattr(part, "default_name", "_".join(filter(None, words)))
             plain = _OTHER.sub("_", default)
             name, number = plain, 2

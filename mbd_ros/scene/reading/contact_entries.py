@@ -43,18 +43,18 @@ def build_contacts(site: Site, entries: Any) -> Any:
         SceneError: Names key, what is wrong and what is accepted.
     """
     listed = schema.value(entries, Sequence[Any], site.where)
-    given = [
-        entry if i in site.kept else with_shapes(site, entry, f"{site.where}[{i}]")
+    with_shape = [
+        entry if i in site.prebuilt else with_shapes(site, entry, f"{site.where}[{i}]")
         for i, entry in enumerate(listed)
     ]
-    parts = build_section(site, given)
+    parts = build_section(site, with_shape)
     rows = sum(len(getattr(part, "rows", ())) for part in parts)
     if rows > MAX_ROWS:
         raise SceneError(f"{site.where}: {rows} rows, accepted are {MAX_ROWS}")
     return parts
 
 
-def with_shapes(site: Site, given: Any, where: str) -> Any:
+def with_shapes(site: Site, entry: Any, where: str) -> Any:
     """An entry whose `between` is read; what else is wrong with it is told where it is built.
 
     Args:
@@ -64,34 +64,34 @@ def with_shapes(site: Site, given: Any, where: str) -> Any:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    if not isinstance(given, Mapping) or "between" not in given:
-        return given
-    sides = schema.value(given["between"], Sequence[Any], f"{where}.between")
+    if not isinstance(entry, Mapping) or "between" not in entry:
+        return entry
+    sides = schema.value(entry["between"], Sequence[Any], f"{where}.between")
     if len(sides) != len(Between._fields):
         raise SceneError(f"{where}.between: expected two sides, [a, b], got {len(sides)}")
     a, b = (read_side(site, side, f"{where}.between[{i}]") for i, side in enumerate(sides))
-    return {**given, "between": Between(a, b)}
+    return {**entry, "between": Between(a, b)}
 
 
-def read_side(site: Site, given: Any, where: str) -> Side:
+def read_side(site: Site, side: Any, where: str) -> Side:
     """A name, or a mapping with one shape and where it stands.
 
     Args:
         site: Where the section is built.
-        given: What the file holds.
+        side: What the file holds.
         where: File and key, for the messages.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    if isinstance(given, str):
-        return _named(site, given, where)
-    entry = dict(schema.value(given, Mapping[str, Any], where))
-    found = [key for key in _SHAPES if key in entry]
-    if len(found) != 1:
-        got = ", ".join(found) or ", ".join(entry) or "none"
+    if isinstance(side, str):
+        return _named(site, side, where)
+    entry = dict(schema.value(side, Mapping[str, Any], where))
+    shapes = [key for key in _SHAPES if key in entry]
+    if len(shapes) != 1:
+        got = ", ".join(shapes) or ", ".join(entry) or "none"
         raise SceneError(f"{where}: expected one shape of {', '.join(_SHAPES)}, got {got}")
-    (kind,) = found
+    (kind,) = shapes
     size = entry.pop(kind)
     frame, at = schema.call(_placed, entry, where, site.robot)
     return Side(frame, (_shape(site, kind, size, at, f"{where}.{kind}"),))
@@ -100,9 +100,9 @@ def read_side(site: Site, given: Any, where: str) -> Side:
 def _named(site: Site, name: str, where: str) -> Side:
     """The shape of a body, the ground, or what a description says of a link."""
     robot = _robot(site)
-    recipe = next((r for r in robot.recipes if r.name and r.name == name), None)
-    if recipe is not None and recipe.shape is not None:
-        return Side(name, (_shape(site, *recipe.shape, robot.point(name), where),))
+    model_source = next((r for r in robot.model_sources if r.name and r.name == name), None)
+    if model_source is not None and model_source.shape is not None:
+        return Side(name, (_shape(site, *model_source.shape, robot.point(name), where),))
     if name == GROUND and not robot.model.existFrame(name):
         rest = _at_rest(robot)
         return Side(rest, (HalfSpace(robot.point(rest)),))
@@ -112,10 +112,10 @@ def _named(site: Site, name: str, where: str) -> Side:
         raise SceneError(f"{where}: {error}; or {GROUND}, where nothing is called so") from error
 
     shapes = []
-    for i, found in enumerate(collisions_of(robot, name, where)):
-        at = robot.point(name, found.xyz, found.rpy)
+    for i, collision in enumerate(collisions_of(robot, name, where)):
+        at = robot.point(name, collision.xyz, collision.rpy)
         told = f"{where}: {name}: <collision> {i}"
-        shapes.append(_shape(site, found.kind, found.size, at, told))
+        shapes.append(_shape(site, collision.kind, collision.size, at, told))
     return Side(name, tuple(shapes))
 
 
@@ -135,7 +135,7 @@ def _shape(site: Site, kind: str, size: Any, at: Point, where: str) -> Shape:
 
 
 def _at_rest(robot: Robot) -> str:
-    """What the world is called; a link of that name may fly."""
+    """Return the name of the world; a link of that name may move freely."""
     return "universe" if robot.model.existFrame(WORLD) else WORLD
 
 

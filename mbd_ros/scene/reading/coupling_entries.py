@@ -112,14 +112,14 @@ def one_function(
     """
     values = (factor, polynomial, spline, piecewise_polynomial, simm_spline, harmonic)
     functions: dict[str, Any] = dict(zip(FUNCTIONS, values, strict=True))
-    given = [kind for kind, function in functions.items() if function is not None]
-    if len(given) != 1:
+    kinds = [kind for kind, function in functions.items() if function is not None]
+    if len(kinds) != 1:
         raise ModelError(
-            f"give exactly one of {', '.join(functions)}; got {', '.join(given) or 'none'}"
+            f"give exactly one of {', '.join(functions)}; got {', '.join(kinds) or 'none'}"
         )
     if offset is not None and factor is None:
         raise ModelError("'offset' goes with 'factor' only")
-    kind = given[0]
+    kind = kinds[0]
     return _function(kind, functions[kind], offset or 0.0, f"{where}.{kind}")
 
 

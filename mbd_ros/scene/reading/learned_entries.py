@@ -7,7 +7,7 @@ from typing import Any
 
 from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.methods.learned import LARGEST, About, LearnedFile, check_physics, physics_of
+from mbd_ros.methods.learned_model import LARGEST, About, LearnedFile, check_physics, physics_of
 from mbd_ros.regular_file import open_regular
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema import schema
@@ -26,24 +26,24 @@ def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -
     Raises:
         SceneError: A name of no file, or of one that is too large.
     """
-    hints, found = typing.get_type_hints(part.__init__), dict(entry)
-    for key in found.keys() & hints.keys():
-        if hints[key] is LearnedFile and not isinstance(found[key], LearnedFile):
-            name: str = schema.value(found[key], str, f"{where}.{key}")
-            found[key] = _read(find_file(folder, name, f"{where}.{key}"), f"{where}.{key}")
-    return found
+    hints, arguments = typing.get_type_hints(part.__init__), dict(entry)
+    for key in arguments.keys() & hints.keys():
+        if hints[key] is LearnedFile and not isinstance(arguments[key], LearnedFile):
+            name: str = schema.value(arguments[key], str, f"{where}.{key}")
+            arguments[key] = _read(find_file(folder, name, f"{where}.{key}"), f"{where}.{key}")
+    return arguments
 
 
-def physics_beside(scene: Scene, said: About) -> dict[str, list[float]]:
-    """What the scene exerts beside a model, see `physics_of`."""
-    given = scene.parts.get("forces", ())
-    others = [part for part in given if not is_learned(part)]
-    return physics_of(scene.robot, scene.couplings, others, said)
+def physics_beside(scene: Scene, description: About) -> dict[str, list[float]]:
+    """Return the forces of the scene beside a learned model, see `physics_of`."""
+    forces = scene.parts.get("forces", ())
+    others = [part for part in forces if not is_learned(part)]
+    return physics_of(scene.robot, scene.couplings, others, description)
 
 
 def is_learned(part: Load) -> bool:
     """Whether a part is a learned model."""
-    return isinstance(getattr(part, "said", None), About)
+    return isinstance(getattr(part, "description", None), About)
 
 
 def check_models(scene: Scene) -> None:
@@ -54,7 +54,7 @@ def check_models(scene: Scene) -> None:
     """
     for part in filter(is_learned, scene.parts.get("forces", ())):
         try:
-            check_physics(part.file, part.said, physics_beside(scene, part.said))
+            check_physics(part.file, part.description, physics_beside(scene, part.description))
         except ModelError as error:
             raise SceneError(f"{scene.name}: forces: {error}") from error
 

@@ -64,22 +64,22 @@ def build_paths(site: Site, entries: Any) -> "dict[str, Path]":
     return paths
 
 
-def build_section(site: Site, given: Any) -> Any:
+def build_section(site: Site, section_entry: Any) -> Any:
     """Parts of a robot by their `type`: one, a tuple of them, or a mapping by name.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     if site.section.form is Form.SINGLE:
-        return _named_parts(site, [named_entry(given, site.where)])[0]
+        return _named_parts(site, [named_entry(section_entry, site.where)])[0]
     if site.section.form is Form.NAMED:
-        mapping = _named(site, given)
+        mapping = _named(site, section_entry)
         entries = [
             NamedEntry(where := f"{site.where}.{name}", entry, checked_name(name, where))
             for name, entry in mapping.items()
         ]
         return dict(zip(mapping, _named_parts(site, entries, mapping), strict=True))
-    listed = schema.value(given, Sequence[Any], site.where)
+    listed = schema.value(section_entry, Sequence[Any], site.where)
     _refuse_many(site, len(listed))
     entries = [named_entry(entry, f"{site.where}[{i}]") for i, entry in enumerate(listed)]
     return _named_parts(site, entries)
@@ -98,16 +98,16 @@ def build_constraints(site: Site, entries: Any) -> Any:
     return parts
 
 
-def build_method(site: Site, given: Any) -> Any:
+def build_method(site: Site, entry: Any) -> Any:
     """A part that needs no robot.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    return part_of(site.section, given, site.where)
+    return part_of(site.section, entry, site.where)
 
 
-def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
+def build_part(kind: str, entry: Any, where: str, *context: Any) -> Any:
     """The part of an entry with `type`.
 
     Args:
@@ -118,7 +118,7 @@ def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    return _typed(PARTS[kind], METHODS[kind], given, where, context)
+    return _typed(PARTS[kind], METHODS[kind], entry, where, context)
 
 
 def _named_parts(
@@ -126,36 +126,38 @@ def _named_parts(
 ) -> tuple[Any, ...]:
     places = range(len(entries)) if keys is None else keys
     parts = tuple(
-        site.kept[place]
-        if place in site.kept
-        else part_of(site.section, entry.given, entry.where, site)
+        site.prebuilt[place]
+        if place in site.prebuilt
+        else part_of(site.section, entry.value, entry.where, site)
         for place, entry in zip(places, entries, strict=True)
     )
     name_parts(site.robot, site.parts, entries, parts)
     return parts
 
 
-def part_of(section: Section, given: Any, where: str, site: Site | None = None) -> Any:
+def part_of(section: Section, entry: Any, where: str, site: Site | None = None) -> Any:
     """The part of an entry of a section.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     context = () if site is None else (site.robot,)
-    return _typed(types_of(section), section.offers, given, where, context, site)
+    return _typed(types_of(section), section.offers, entry, where, context, site)
 
 
 def _typed(
     types: Mapping[str, str],
     offers: Sequence[str],
-    given: Any,
+    section_entry: Any,
     where: str,
     context: Sequence[Any],
     site: Site | None = None,
 ) -> Any:
-    if isinstance(given, str) and given in types:
-        raise SceneError(f"{where}: expected a mapping, got '{given}': write {{type: {given}}}")
-    entry = dict(schema.value(given, Mapping[str, Any], where))
+    if isinstance(section_entry, str) and section_entry in types:
+        raise SceneError(
+            f"{where}: expected a mapping, got '{section_entry}': write {{type: {section_entry}}}"
+        )
+    entry = dict(schema.value(section_entry, Mapping[str, Any], where))
     if entry.get("type") is None:
         accepted = ", ".join((*types, "or package.module:Class"))
         raise SceneError(f"{where}: key 'type' is missing, accepted: {accepted}")
@@ -186,8 +188,8 @@ def _takes_file(part: Any) -> bool:
     return any("LearnedFile" in str(hint) for hint in hints)
 
 
-def _named(site: Site, given: Any) -> Mapping[str, Any]:
-    entries: Mapping[str, Any] = schema.value(given, Mapping[str, Any], site.where)
+def _named(site: Site, entry: Any) -> Mapping[str, Any]:
+    entries: Mapping[str, Any] = schema.value(entry, Mapping[str, Any], site.where)
     _refuse_many(site, len(entries))
     return entries
 

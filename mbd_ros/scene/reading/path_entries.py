@@ -28,18 +28,18 @@ MAX_POINTS = 1000  # of one path
 _SHAPES = ("cylinder", "sphere", "ellipsoid", "torus")
 
 
-def path_of(robot: Robot, given: Any, where: str) -> Path:
+def path_of(robot: Robot, entry: Any, where: str) -> Path:
     """The path of an entry.
 
     Args:
-        given: `points` from end to end, perhaps with `wraps`; `joints` with radius or
+        entry: `points` from end to end, perhaps with `wraps`; `joints` with radius or
             coefficients; `polynomial` of several joints; or some of these.
         where: File and key, for the messages.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    path: Path = schema.call(_path, given, where, robot, where)
+    path: Path = schema.call(_path, entry, where, robot, where)
     return path
 
 
@@ -58,16 +58,16 @@ def _path(
         raise ModelError(f"{len(points or ())} points, accepted are {MAX_POINTS}")
     paths: list[Path] = []
     if points:
-        given = enumerate(points)
+        listed = enumerate(points)
         via = [
-            schema.call(_via, one, f"{where}.points[{i}]", robot, f"{where}.points[{i}]")
-            for i, one in given
+            schema.call(_via, value, f"{where}.points[{i}]", robot, f"{where}.points[{i}]")
+            for i, value in listed
         ]
         paths.append(path_through(robot, via, _wraps(robot, wraps, where) if wraps else ()))
     elif wraps:
         raise ModelError("wraps need points")
     if joints:
-        paths.append(JointPath(robot, {name: _term(one) for name, one in joints.items()}))
+        paths.append(JointPath(robot, {name: _term(value) for name, value in joints.items()}))
     if polynomial:
         paths.append(schema.call(_polynomial, polynomial, f"{where}.polynomial", robot))
     return paths[0] if len(paths) == 1 else JoinedPaths(paths)
@@ -100,24 +100,26 @@ def _interval(
 def _moves(
     where: str, *, joint: str, x: Any = None, y: Any = None, z: Any = None
 ) -> tuple[str, dict[str, CouplingFunction]]:
-    given = {axis: one for axis, one in zip("xyz", (x, y, z), strict=True) if one is not None}
-    if not given:
+    factors = {
+        axis: entry for axis, entry in zip("xyz", (x, y, z), strict=True) if entry is not None
+    }
+    if not factors:
         raise ModelError("give x, y or z as a function of the position of the joint")
     return joint, {
-        axis: schema.call(one_function, one, f"{where}.{axis}", f"{where}.{axis}")
-        for axis, one in given.items()
+        axis: schema.call(one_function, entry, f"{where}.{axis}", f"{where}.{axis}")
+        for axis, entry in factors.items()
     }
 
 
 def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:
     if len(wraps) > MAX_POINTS:
         raise ModelError(f"{len(wraps)} wraps, accepted are {MAX_POINTS}")
-    return [read_wrap(robot, one, f"{where}.wraps[{i}]") for i, one in enumerate(wraps)]
+    return [read_wrap(robot, entry, f"{where}.wraps[{i}]") for i, entry in enumerate(wraps)]
 
 
-def _term(given: float | Sequence[float]) -> CouplingFunction:
+def _term(coefficients: float | Sequence[float]) -> CouplingFunction:
     """Radius of a pulley [m], or coefficients of a polynomial."""
-    return Linear(given) if isinstance(given, float) else Polynomial(given)
+    return Linear(coefficients) if isinstance(coefficients, float) else Polynomial(coefficients)
 
 
 def _polynomial(
@@ -140,30 +142,30 @@ def with_paths(
     Raises:
         SceneError: An unknown name, or an entry that is no path.
     """
-    hints, found = typing.get_type_hints(part.__init__), dict(entry)
-    for key in found.keys() & hints.keys():
-        given = found[key]
-        if given is None or Path not in (hints[key], *typing.get_args(hints[key])):
+    hints, arguments = typing.get_type_hints(part.__init__), dict(entry)
+    for key in arguments.keys() & hints.keys():
+        value = arguments[key]
+        if value is None or Path not in (hints[key], *typing.get_args(hints[key])):
             continue
-        if isinstance(given, str) and given not in known:
+        if isinstance(value, str) and value not in known:
             accepted = ", ".join(known) or "none: the scene has no `paths`"
-            raise SceneError(f"{where}.{key}: no path '{given}', accepted: {accepted}")
-        is_name = isinstance(given, str)
-        found[key] = known[given] if is_name else path_of(robot, given, f"{where}.{key}")
-    return found
+            raise SceneError(f"{where}.{key}: no path '{value}', accepted: {accepted}")
+        is_name = isinstance(value, str)
+        arguments[key] = known[value] if is_name else path_of(robot, value, f"{where}.{key}")
+    return arguments
 
 
-def read_wrap(robot: Robot, given: Any, where: str) -> Wrap:
+def read_wrap(robot: Robot, entry: Any, where: str) -> Wrap:
     """A wrap: a frame, one surface and perhaps pose, side and range.
 
     Args:
-        given: What the file holds.
+        entry: What the file holds.
         where: File and key, for the messages.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    wrap: Wrap = schema.call(_wrap, given, where, robot, where)
+    wrap: Wrap = schema.call(_wrap, entry, where, robot, where)
     return wrap
 
 
@@ -182,8 +184,8 @@ def _wrap(
     between: Annotated[Sequence[int], Length(2)] | None = None,
     method: Literal["hybrid", "midpoint", "axial"] = "hybrid",
 ) -> Wrap:
-    given = {"cylinder": cylinder, "sphere": sphere, "ellipsoid": ellipsoid, "torus": torus}
-    shapes = {shape: value for shape, value in given.items() if value is not None}
+    surfaces = {"cylinder": cylinder, "sphere": sphere, "ellipsoid": ellipsoid, "torus": torus}
+    shapes = {shape: value for shape, value in surfaces.items() if value is not None}
     if len(shapes) != 1:
         raise ModelError(f"give one of {', '.join(_SHAPES)}; got {', '.join(shapes) or 'none'}")
     ((shape, value),) = shapes.items()
@@ -194,12 +196,12 @@ def _wrap(
     return Wrap(robot, name or shape, frame, surface, place[:3].tolist(), rpy.tolist(), ends)
 
 
-def _surface(shape: str, given: Any, side: Side, where: str) -> Surface:
+def _surface(shape: str, size: Any, side: Side, where: str) -> Surface:
     if shape == "sphere":
-        return Sphere(given, side)
+        return Sphere(size, side)
     if shape == "ellipsoid":
-        return Ellipsoid(given, side)
-    made: Surface = schema.call(_cylinder if shape == "cylinder" else _torus, given, where, side)
+        return Ellipsoid(size, side)
+    made: Surface = schema.call(_cylinder if shape == "cylinder" else _torus, size, where, side)
     return made
 
 

@@ -34,15 +34,15 @@ def build_phases(site: Site, entries: Any) -> dict[str, PhasePlan]:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    given = schema.value(entries, Mapping[str, Any], site.where)
-    if len(given) > MAX_PHASES:
-        raise SceneError(f"{site.where}: {len(given)} phases, accepted are {MAX_PHASES}")
-    names = _Names(site, tuple(given))
-    return {name: _phase(names, name, entry) for name, entry in given.items()}
+    phases = schema.value(entries, Mapping[str, Any], site.where)
+    if len(phases) > MAX_PHASES:
+        raise SceneError(f"{site.where}: {len(phases)} phases, accepted are {MAX_PHASES}")
+    names = _Names(site, tuple(phases))
+    return {name: _phase(names, name, entry) for name, entry in phases.items()}
 
 
 class _Names:
-    """What a scene knows by name.
+    """Names of a scene that phases may use.
 
     Args:
         site: Where the section is built.
@@ -52,7 +52,7 @@ class _Names:
     def __init__(self, site: Site, phases: Sequence[str]) -> None:
         self.site, self.phases = site, phases
         self.contacts = [part.name for part in site.parts.get("contacts", ())]
-        self.rigid = [p.name for p in site.parts.get("contacts", ()) if hasattr(p, "residual")]
+        self.rigid = [p.name for p in site.parts.get("contacts", ()) if p.is_constraint]
         self.stateful = [p.name for p in site.parts.get("contacts", ()) if p.internal]
         self.constraints = [part.name for part in site.parts.get("constraints", ())]
         self.dependent = list(site.parts["couplings"].dependent)
@@ -80,28 +80,29 @@ def known(name: Any, names: Collection[str], what: str, where: str) -> str:
 
 
 def _listed(
-    given: Sequence[str] | None, names: Collection[str], what: str, where: str
+    listed: Sequence[str] | None, names: Collection[str], what: str, where: str
 ) -> tuple[str, ...] | None:
-    if given is None:
+    if listed is None:
         return None
-    return tuple(known(name, names, what, f"{where}[{i}]") for i, name in enumerate(given))
+    return tuple(known(name, names, what, f"{where}[{i}]") for i, name in enumerate(listed))
 
 
-def _phase(names: _Names, name: str, given: Any) -> PhasePlan:
+def _phase(names: _Names, name: str, value: Any) -> PhasePlan:
     where = f"{names.site.where}.{name}"
     checked_name(name, where)
-    entry: _PhaseEntry = schema.call(_PhaseEntry, given, where)
+    entry: _PhaseEntry = schema.call(_PhaseEntry, value, where)
     accepted = names.rigid if entry.held else names.contacts
     contacts = _listed(entry.contacts, names.contacts, "contact", f"{where}.contacts") or ()
-    for one in contacts:
-        if one in names.stateful:
+    for contact in contacts:
+        if contact in names.stateful:
             raise SceneError(
-                f"{where}.contacts: {one} has internal states and acts in every phase; accepted: "
-                "friction with creep instead of bristles"
+                f"{where}.contacts: {contact} has internal states and acts in every phase; "
+                "accepted: friction with creep instead of bristles"
             )
-        if one not in accepted:
+        if contact not in accepted:
             raise SceneError(
-                f"{where}.contacts: {one} is compliant and cannot be held; accepted: held: false"
+                f"{where}.contacts: {contact} is compliant and cannot be held; "
+                "accepted: held: false"
             )
     if not entry.until:
         raise SceneError(
@@ -122,11 +123,11 @@ def _phase(names: _Names, name: str, given: Any) -> PhasePlan:
 
 
 def _guard(
-    names: _Names, phase: _PhaseEntry, on: Collection[str], where: str, name: str, given: Any
+    names: _Names, phase: _PhaseEntry, on: Collection[str], where: str, name: str, value: Any
 ) -> GuardPlan:
     key = f"{where}.until.{name}"
     checked_name(name, key)
-    entry: GuardEntry = schema.call(GuardEntry, given, key)
+    entry: GuardEntry = schema.call(GuardEntry, value, key)
     chosen = [kind for kind in _KINDS if getattr(entry, kind) is not None]
     if len(chosen) != 1:
         raise SceneError(
@@ -136,8 +137,8 @@ def _guard(
     if kind == "touch_down":
         known(entry.touch_down, names.contacts, "contact", f"{key}.touch_down")
     elif kind in _OF_CONTACTS:
-        held = on if phase.held else ()
-        known(getattr(entry, kind), held, "contact that is held", f"{key}.{kind}")
+        closed = on if phase.held else ()
+        known(getattr(entry, kind), closed, "contact that is held", f"{key}.{kind}")
     _joints(names, entry, key)
     when: WhenEntry | None = None
     if entry.when is not None:
@@ -164,8 +165,8 @@ def _joints(names: _Names, entry: Any, where: str) -> None:
         raise SceneError(f"{where}.joints: no joint; accepted: {{JOINT: factor, ..}}")
 
 
-def _reset(names: _Names, given: Any, where: str) -> ResetEntry:
-    entry: ResetEntry = schema.call(ResetEntry, {} if given is None else given, where)
+def _reset(names: _Names, value: Any, where: str) -> ResetEntry:
+    entry: ResetEntry = schema.call(ResetEntry, {} if value is None else value, where)
     _listed(entry.impact, names.rigid, "rigid contact", f"{where}.impact")
     for name in entry.shift or ():
         known(name, names.joints, "joint", f"{where}.shift")

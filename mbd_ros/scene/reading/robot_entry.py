@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.robot import Recipe, Robot
+from mbd_ros.core.model.robot import ModelSource, Robot
 from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robots, root_link
 from mbd_ros.core.model.urdf import MAX_CHARACTERS, parse_urdf
 from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector
@@ -65,7 +65,7 @@ _BY_KEYS = ("cylinder", "capsule")
 _KINDS = "box, sphere, cylinder, capsule, mesh"
 
 
-def build_robot(site: Site, given: Any) -> Robot:
+def build_robot(site: Site, value: Any) -> Robot:
     """The robot of the section `robot`, with those of `robots` and with `bodies`.
 
     Raises:
@@ -73,35 +73,35 @@ def build_robot(site: Site, given: Any) -> Robot:
     """
     others = [*site.parts.get("robots", {}).values(), *site.parts.get("bodies", {}).values()]
     gravity = site.parts.get("gravity")
-    if given is site.section.absent:
+    if value is site.section.absent:
         if not others:
             raise SceneError(f"{site.origin.name}: key 'robot' is missing, or robots, or bodies")
         return _read(others, gravity or EARTH_GRAVITY, site.origin.name)
     text = site.origin.description
-    entry = read_entry(site.where, given, site.origin.path is None and text is not None)
+    entry = read_entry(site.where, value, site.origin.path is None and text is not None)
     if gravity is not None and entry.gravity is not None:
         raise SceneError(f"{site.where}.gravity: given twice, there is a section 'gravity'")
     gravity = gravity or entry.gravity or EARTH_GRAVITY
-    recipe = _recipe(site, entry)
+    model_source = _model_source(site, entry)
     where = site.origin.name if others else site.where
     try:
-        robot = _read([recipe, *others], gravity, where)
+        robot = _read([model_source, *others], gravity, where)
     except SceneError as error:
-        raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
+        raise SceneError(f"{error}{_joints_to_lock(model_source)}") from error
     model = site.origin.model
     if (entry.osim or entry.mjcf) is None or model is None:
         return robot
     return replace(robot, ignored=(*robot.ignored, *model.left_out))
 
 
-def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Robot:
+def _read(model_sources: Sequence[ModelSource], gravity: Sequence[float], where: str) -> Robot:
     try:
-        return read_robots(recipes, gravity)
+        return read_robots(model_sources, gravity)
     except ModelError as error:
         raise SceneError(f"{where}: {error}") from error
 
 
-def _recipe(site: Site, entry: RobotEntry) -> Recipe:
+def _model_source(site: Site, entry: RobotEntry) -> ModelSource:
     where, text = site.where, site.origin.description
     if (entry.osim or entry.mjcf) is not None:
         assert site.origin.model is not None
@@ -116,8 +116,10 @@ def _recipe(site: Site, entry: RobotEntry) -> Recipe:
     else:
         source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
     pose = _placed(entry.pose, where)
-    recipe = Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
-    return recipe._replace(any_inertias=entry.any_inertias)
+    model_source = ModelSource(
+        text, source, entry.base, entry.locked, entry.rename, None, "", pose
+    )
+    return model_source._replace(any_inertias=entry.any_inertias)
 
 
 def _read_urdf(site: Site, name: str, entry: str) -> tuple[str, str]:
@@ -135,12 +137,12 @@ def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
     return pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
 
 
-def _joints_to_lock(recipe: Recipe) -> str:
+def _joints_to_lock(model_source: ModelSource) -> str:
     """The joints there are, where nothing but `locked` is wrong."""
-    if not recipe.locked:
+    if not model_source.locked:
         return ""
     try:
-        robot = read_robots([recipe._replace(locked=None)])
+        robot = read_robots([model_source._replace(locked=None)])
     except ModelError:
         return ""
     return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
@@ -162,20 +164,20 @@ class RobotEntry:
     mjcf: str | None = None
 
 
-def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
+def read_entry(where: str, value: Any, has_text: bool = False) -> RobotEntry:
     """The section `robot`, checked.
 
     Args:
         where: File and key, for the messages.
-        given: What the file holds.
+        value: What the file holds.
         has_text: Whether a description came with the scene, so that none need be named.
 
     Raises:
         SceneError: Names file and key.
     """
-    entry: RobotEntry = schema.call(RobotEntry, given, where)
-    given = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
-    named = sum(one is not None for one in given)
+    entry: RobotEntry = schema.call(RobotEntry, value, where)
+    descriptions = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
+    named = sum(one is not None for one in descriptions)
     if named != 1 and not (has_text and not named):
         raise SceneError(f"{where}: give either 'urdf', 'osim', 'mjcf' or 'description_topic'")
     if entry.gravity is not None and len(entry.gravity) != 3:
@@ -183,25 +185,25 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
     return entry
 
 
-def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
+def build_robots(site: Site, entry: Any) -> dict[str, ModelSource]:
     """The section `robots`.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
-    return _each(site, given, _robot)
+    return _each(site, entry, _robot)
 
 
-def _each(site: Site, given: Any, read: Callable[..., Recipe]) -> dict[str, Recipe]:
-    recipes = {}
-    for name, entry in schema.value(given, Mapping[str, Any], site.where).items():
+def _each(site: Site, mapping: Any, read: Callable[..., ModelSource]) -> dict[str, ModelSource]:
+    model_sources = {}
+    for name, entry in schema.value(mapping, Mapping[str, Any], site.where).items():
         where = f"{site.where}.{name}"
         if not _NAME.fullmatch(str(name)):
             raise SceneError(
                 f"{where}: is no ROS name, accepted: letters, digits and _, no digit first"
             )
-        recipes[name] = schema.call(read, entry, where, site, where, name)
-    return recipes
+        model_sources[name] = schema.call(read, entry, where, site, where, name)
+    return model_sources
 
 
 def _robot(
@@ -214,18 +216,18 @@ def _robot(
     base: str = "fixed",
     locked: Mapping[str, float] | None = None,
     rename: Mapping[str, str] | None = None,
-) -> Recipe:
+) -> ModelSource:
     source, text = _read_urdf(site, urdf, where)
-    return Recipe(text, source, base, locked, rename, None, name, _placed(pose, where))
+    return ModelSource(text, source, base, locked, rename, None, name, _placed(pose, where))
 
 
-def build_bodies(site: Site, given: Any) -> dict[str, Recipe]:
+def build_bodies(site: Site, entry: Any) -> dict[str, ModelSource]:
     """The section `bodies`.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
-    return _each(site, given, _body)
+    return _each(site, entry, _body)
 
 
 def _body(
@@ -239,40 +241,40 @@ def _body(
     inertia: Sequence[Any] | None = None,
     free: bool = True,
     pose: Mapping[str, Any] | None = None,
-) -> Recipe:
+) -> ModelSource:
     if (urdf is None) == (shape is None):
         raise SceneError(f"{where}: give either 'urdf' or 'shape'")
     if urdf is not None:
         if mass is not None or inertia is not None:
             raise SceneError(f"{where}: mass and inertia are those of the 'urdf'")
         source, text = _read_urdf(site, urdf, where)
-        recipe = Recipe(text, source, name=name)
+        model_source = ModelSource(text, source, name=name)
     elif mass is None and (free or inertia is not None):
         raise SceneError(f"{where}: key 'mass' is missing")
     else:
-        recipe = shaped(name, where, shape, mass, inertia)
-    return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
+        model_source = shaped(name, where, shape, mass, inertia)
+    return model_source._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
 
 
-def build_gravity(site: Site, given: Any) -> Sequence[float]:
+def build_gravity(site: Site, entry: Any) -> Sequence[float]:
     """The section `gravity` [m/s^2].
 
     Raises:
         SceneError: It is no vector.
     """
-    gravity: Sequence[float] = schema.value(given, Vector, site.where)
+    gravity: Sequence[float] = schema.value(entry, Vector, site.where)
     return gravity
 
 
 def shaped(
-    name: str, where: str, given: Any, mass: float | None, inertia: Sequence[Any] | None
-) -> Recipe:
+    name: str, where: str, shape_values: Any, mass: float | None, inertia: Sequence[Any] | None
+) -> ModelSource:
     """A body of one link, its origin in the centre of its shape, which its mass fills evenly.
 
     Args:
         name: Of the body and its link, a ROS name.
         where: File and key, for the messages.
-        given: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
+        shape_values: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
             `{capsule: {radius, length}}`, the last two along z; a capsule is longer than `length`
             by its two half spheres.
         mass: [kg]; None for a body that does not move.
@@ -282,7 +284,7 @@ def shaped(
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    entry = schema.value(given, Mapping[str, Any], f"{where}.shape")
+    entry = schema.value(shape_values, Mapping[str, Any], f"{where}.shape")
     if len(entry) != 1 or next(iter(entry)) not in _SHAPES:
         names = ", ".join(_SHAPES)
         raise SceneError(
@@ -295,10 +297,10 @@ def shaped(
     text = f'<robot name="{name}"><link name="{name}"/></robot>'
     source = f"bodies.{name}.shape"
     if mass is None:
-        return Recipe(text, source, name=name, shape=(kind, sizes))
+        return ModelSource(text, source, name=name, shape=(kind, sizes))
     tensor = np.diag(moments) * mass if inertia is None else _tensor(inertia, where)
     inertias = {name: (mass, np.zeros(3), tensor)}
-    return Recipe(text, source, inertias=inertias, name=name, shape=(kind, sizes))
+    return ModelSource(text, source, inertias=inertias, name=name, shape=(kind, sizes))
 
 
 def _tensor(inertia: Sequence[Any], where: str) -> Array:
@@ -311,11 +313,11 @@ def _tensor(inertia: Sequence[Any], where: str) -> Array:
     return np.diag(tensor) if tensor.ndim == 1 else tensor
 
 
-def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Collision:
+def geometry_of(model_source: ModelSource, element: ElementTree.Element, where: str) -> Collision:
     """The geometry of a `<collision>` or `<visual>` element.
 
     Args:
-        recipe: What the element is from.
+        model_source: What the element is from.
         where: File and key, for the messages.
 
     Raises:
@@ -337,7 +339,7 @@ def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Col
     if shape.tag != "mesh" or not shape.get("filename"):
         raise SceneError(f"{where}: geometry <{shape.tag}>, accepted: {_KINDS} with its filename")
     name = shape.get("filename", "").removeprefix("file://")
-    file = find_file(Path(recipe.source).parent, name, where)
+    file = find_file(Path(model_source.source).parent, name, where)
     scale = _numbers(shape, "scale", "1 1 1", 3, where)
     return Collision("mesh", {"file": str(file), "scale": scale}, xyz, rpy)
 
@@ -375,20 +377,20 @@ def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
         SceneError: The link has none, or one that is not understood; names it.
     """
     having = list[str]()
-    for recipe in robot.recipes:
-        tree = parse_urdf(recipe.text, recipe.source)
+    for model_source in robot.model_sources:
+        tree = parse_urdf(model_source.text, model_source.source)
         for link in tree.findall("link"):
-            known = names_of_link(recipe, tree, link.get("name", ""))
+            known = names_of_link(model_source, tree, link.get("name", ""))
             elements = link.findall("collision")
             if name in known and elements:
                 texts = enumerate(elements)
                 return [
-                    geometry_of(recipe, one, f"{where}: {name}: <collision> {i}")
+                    geometry_of(model_source, one, f"{where}: {name}: <collision> {i}")
                     for i, one in texts
                 ]
             having += known[:1] if elements else []
-        if recipe.shape is not None:
-            having.append(recipe.name)
+        if model_source.shape is not None:
+            having.append(model_source.name)
     found = ", ".join(having) or "none has one"
     raise SceneError(
         f"{where}: link '{name}' has no <collision>; with one or a shape: {found}; or give the "
@@ -396,10 +398,10 @@ def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
     )
 
 
-def names_of_link(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
-    """What a link is called in the scene; the root goes by the name of its member, too."""
-    is_root = bool(recipe.name) and link == root_link(tree)
-    return [recipe.name, recipe.scoped(link)] if is_root else [recipe.scoped(link)]
+def names_of_link(source: ModelSource, tree: ElementTree.Element, link: str) -> list[str]:
+    """Return the names of a link in the scene; the root has the name of its member, too."""
+    is_root = bool(source.name) and link == root_link(tree)
+    return [source.name, source.scoped(link)] if is_root else [source.scoped(link)]
 
 
 class Collision(NamedTuple):

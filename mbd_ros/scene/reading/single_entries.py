@@ -24,13 +24,13 @@ _SMALLEST = 1.0e-6  # length of a quaternion that still says which way to turn
 _Quaternion = Annotated[Sequence[float], Length(4), Unit("x, y, z, w")]
 
 
-def build_initial(site: Site, given: Any) -> State:
+def build_initial(site: Site, entry: Any) -> State:
     """The `initial` section as a state of all joints; dependent joints follow.
 
     Raises:
         SceneError: Names file, key and joint.
     """
-    initial: _Initial = schema.call(_Initial, given, site.where)
+    initial: _Initial = schema.call(_Initial, entry, site.where)
     robot, couplings = site.robot, site.parts["couplings"]
     assert robot is not None and isinstance(couplings, Couplings)
     q, v = np.array(robot.neutral()), np.zeros(robot.model.nv)
@@ -77,8 +77,8 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
     from mbd_ros.core.kinematics.poses import configuration_of
 
     bases = {base.name: base for base in robot.bases}
-    for key, given in (("pose", initial.pose or {}), ("twist", initial.twist or {})):
-        for name, entry in given.items():
+    for key, value in (("pose", initial.pose or {}), ("twist", initial.twist or {})):
+        for name, entry in value.items():
             place = f"{where}.{key}.{name}"
             if name not in bases:
                 free = ", ".join(bases) or "nothing"
@@ -90,18 +90,18 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
                 v[base.v] = read_twist(entry, place, pin.XYZQUATToSE3(q[base.q]).rotation)
 
 
-def build_step(site: Site, given: Any) -> float:
+def build_step(site: Site, entry: Any) -> float:
     """The `dt` section [s]."""
-    dt: float = schema.value(given, Unlimited, site.where)
+    dt: float = schema.value(entry, Unlimited, site.where)
     refuse_dt(dt, site.where, SceneError)
     return dt
 
 
-def read_pose(given: Any, where: str) -> Array:
+def read_pose(entry: Any, where: str) -> Array:
     """A pose `{xyz: [..], rpy: [..]}` or `{xyz: [..], quaternion: [x, y, z, w]}`.
 
     Args:
-        given: What the file holds; what it leaves out is 0.
+        entry: What the file holds; what it leaves out is 0.
         where: File and key, for the messages.
 
     Returns:
@@ -110,7 +110,7 @@ def read_pose(given: Any, where: str) -> Array:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    pose: Array = schema.call(_pose, given, where, where)
+    pose: Array = schema.call(_pose, entry, where, where)
     return pose
 
 
@@ -133,11 +133,11 @@ def _pose(
     return np.concatenate((xyz, turn / length))
 
 
-def read_twist(given: Any, where: str, rotation: Array) -> Array:
+def read_twist(entry: Any, where: str, rotation: Array) -> Array:
     """A velocity `{linear: [..], angular: [..], expressed_in: body}`.
 
     Args:
-        given: What the file holds; what it leaves out is 0.
+        entry: What the file holds; what it leaves out is 0.
         where: File and key, for the messages.
         rotation: Of the axes of the body in the world, shape (3, 3).
 
@@ -147,7 +147,7 @@ def read_twist(given: Any, where: str, rotation: Array) -> Array:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    twist: Array = schema.call(_twist, given, where, rotation)
+    twist: Array = schema.call(_twist, entry, where, rotation)
     return twist
 
 
@@ -162,11 +162,11 @@ def _twist(
     return np.concatenate((axes.dot(linear), axes.dot(angular)))
 
 
-def build_solver(site: Site, given: Any) -> Any:
+def build_solver(site: Site, entry: Any) -> Any:
     """The `solver` section."""
-    return schema.call(Solver, given, site.where)
+    return schema.call(Solver, entry, site.where)
 
 
-def build_safe(site: Site, given: Any) -> Any:
+def build_safe(site: Site, entry: Any) -> Any:
     """The `safe` section."""
-    return schema.call(SafeCommand, given, site.where)
+    return schema.call(SafeCommand, entry, site.where)

@@ -147,11 +147,11 @@ class Batch:
         self._prepare((scenes or [self.scene])[0], p[0])
         return self._all(duration, scenes or [self.scene] * self.count, starts, p)
 
-    def _rows(self, name: str, given: Any, default: Array) -> Array:
+    def _rows(self, name: str, values: Any, default: Array) -> Array:
         """Rows of an argument, one a run."""
-        if given is None:
+        if values is None:
             return default
-        rows = np.asarray(given, dtype=np.float64)
+        rows = np.asarray(values, dtype=np.float64)
         if rows.shape != default.shape:
             raise SceneError(
                 f"{self.scene.name}: batch: {name}: shape {rows.shape}, expected {default.shape}"
@@ -200,7 +200,7 @@ class Batch:
         """Where what is integrated starts, a row a run; NaN where a run fails."""
         simulation = self._simulation
         system = simulation.system
-        is_plain = not system.held.rows and not system.internals.nz
+        is_plain = not system.bilateral.rows and not system.internals.nz
         if is_plain and system.nv == system.model.nv:
             return np.hstack((x.q, x.v))
         rows = np.full((self.count, system.nq + system.nv + system.internals.nz), np.nan)
@@ -225,7 +225,7 @@ class Batch:
 
 
 class Runs(NamedTuple):
-    """What a batch returns.
+    """Results of a batch.
 
     Attributes:
         states: Time [s], positions, velocities of all joints and internal states, as the rows of

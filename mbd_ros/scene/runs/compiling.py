@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Tell = Callable[[str], None]
 _OF_LINKS = ("mass", "com", "inertia")  # numbers that are no arguments of a part
-_KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
+_CACHES: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
 
 
 def compiled_simulation(
@@ -48,7 +48,7 @@ def compiled_simulation(
     start: State,
     is_demanded: bool,
     tell: Tell | None = None,
-    kept: dict[Any, Any] | None = None,
+    cache: dict[Any, Any] | None = None,
 ) -> Simulation:
     """A simulation in compiled steps, or in plain ones where none are demanded and none can be.
 
@@ -60,7 +60,7 @@ def compiled_simulation(
         start: Where simulations usually begin, a state of all joints.
         is_demanded: Whether plain steps are refused.
         tell: Is told what takes time.
-        kept: As for `CompiledMethod`.
+        cache: Compiled code of earlier runs, see `cache_of`.
 
     Raises:
         ModelError: Compiled steps are demanded and cannot be: says what keeps the scene from
@@ -69,7 +69,7 @@ def compiled_simulation(
     try:
         if not is_demanded and (why := _dependence(system, start)):
             raise Impossible(why)
-        simulation = _compiled(system, method, correction, dt, (tell or silent, kept))
+        simulation = _compiled(system, method, correction, dt, (tell or silent, cache))
     except Impossible as error:
         if is_demanded:
             raise ModelError(
@@ -86,12 +86,12 @@ def _dependence(system: System, start: State) -> str:
 
     Compiled steps would be handed over, all of them.
     """
-    rows = len(system.held.rows)
+    rows = len(system.bilateral.rows)
     if not rows:
         return ""
     try:
         y = assemble(system, system.reduce(start))
-        rank = system.held.factor_at(y.t, y.q).rank
+        rank = system.bilateral.factor_at(y.t, y.q).rank
     except SolveError:  # the start itself says it, if it is this one
         return ""
     return f"{rank} of {rows} rows are independent, plain steps solve by rank" * (rank < rows)
@@ -118,7 +118,9 @@ def _compiled(
         from mbd_ros.compiled.runs.compiled_method import CompiledMethod
         from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
 
-        method_of: Callable[..., Any] = ImplicitMethod if method.asks else CompiledMethod
+        method_of: Callable[..., Any] = (
+            ImplicitMethod if method.compiled_functions else CompiledMethod
+        )
         steps: CompiledMethod | ImplicitMethod = method_of(method, correction, *more)
         steps.refuse(system)  # in these words, before anything else speaks of the method
         return steps, Simulation(system, steps, correction, dt)
@@ -129,7 +131,7 @@ def _compiled(
 
 
 def attempted(take: Callable[[], T]) -> T:
-    """What a function compiles.
+    """Return the result of a function that compiles.
 
     Raises:
         Impossible: Says why there is nothing.
@@ -153,7 +155,7 @@ def _lacking(error: ModuleNotFoundError) -> Exception:
 
 
 def _described(steps: CompiledMethod | ImplicitMethod) -> str:
-    """What was compiled, and how long that took."""
+    """Return a sentence on the compiled steps and the time it took."""
     library: Any = steps.library
     count = sum(library.source.operations.values())
     return f"compiled: {count} operations by {library.compiler} in {library.seconds:.1f} s"
@@ -163,9 +165,9 @@ def silent(line: str) -> None:
     """Nobody is told."""
 
 
-def kept_for(scene: Any, key: Any) -> dict[Any, Any]:
-    """What is kept while a scene lives, for systems of one key that differ in nothing else."""
-    return _KEPT.setdefault(scene, {}).setdefault(key, {})
+def cache_of(scene: Any, key: Any) -> dict[Any, Any]:
+    """Return the cache of compiled code that lives as long as the scene."""
+    return _CACHES.setdefault(scene, {}).setdefault(key, {})
 
 
 def traced(
@@ -213,7 +215,7 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
         set_value(entries, place, path, symbol)
         changed.setdefault(place, key)
     sections = {section.key: section for section in scene.sections}
-    found: dict[str, Part] = {}
+    symbols_: dict[str, Part] = {}
     for place, key in changed.items():
         section = sections[place.section]
         if not section.has_types or place.at is None:
@@ -223,11 +225,11 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
         old = dict(zip(names, parts_in(section, built), strict=True))[place.at]
         site = Site(section, origin, scene.robot, scene.parts)
         entry = named_entry(entries[place.section][place.at], f"{site.where}.{old.name}")
-        part = part_of(section, entry.given, entry.where, site)
+        part = part_of(section, entry.value, entry.where, site)
         part.name = old.name
         part.bind(Slots(old.u, old.z))
-        found[old.name] = part
-    return found
+        symbols_[old.name] = part
+    return symbols_
 
 
 def compiled_system(
@@ -250,15 +252,15 @@ def compiled_system(
         ModelError: It cannot be compiled; says why.
         SceneError: Names a parameter that no part has.
     """
-    given = dict(parameters or {})
-    changed = with_numbers(scene, given) if given else scene
+    numbers = dict(parameters or {})
+    changed = with_numbers(scene, numbers) if numbers else scene
     system = changed.system((), solver)
 
     def take() -> CompiledSystem:
         from mbd_ros.compiled.runs import implicit_method
 
         implicit_method.refuse_bounds(system)
-        form, p = traced(changed, system, list(given)), np.array(list(given.values()))
+        form, p = traced(changed, system, list(numbers)), np.array(list(numbers.values()))
         return implicit_method.compiled_system(system, form, p, tell)
 
     return attempted(take)

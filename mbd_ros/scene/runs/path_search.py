@@ -28,7 +28,7 @@ class QuickestSearch:
             self._native, self._is_tried = _native(_search), True
 
     def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
-        """As `wrapping.taut.taut`, of a `WrappedPath`."""
+        """Return the taut path of a `WrappedPath`, see `wrapping.taut.taut`."""
         self.prepare()
         if self._native is None:
             return taut(points, path.reaches, places)

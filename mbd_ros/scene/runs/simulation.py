@@ -62,7 +62,7 @@ def build_simulation(
         method = build_part("integrators", integrator, f"{scene.name}: integrator")
     correction = scene.stabilization
     if stabilization is not None or correction is None:
-        has_rows = bool(scene.phases) or bool(system.held.rows)
+        has_rows = bool(scene.phases) or bool(system.bilateral.rows)
         entry = stabilization or {"type": "projection" if has_rows else "none"}
         correction = build_part("stabilization", entry, f"{scene.name}: stabilization")
     try:
@@ -75,11 +75,11 @@ def build_simulation(
             if chosen.compiles:
                 simulation.how = "not compiled: phases change what holds"
             return simulation
-        from mbd_ros.scene.runs.compiling import compiled_simulation, kept_for
+        from mbd_ros.scene.runs.compiling import cache_of, compiled_simulation
 
-        kept = None if forces else kept_for(scene, chosen.backend)
+        cache = None if forces else cache_of(scene, chosen.backend)
         wish = {"start": scene.initial, "is_demanded": chosen.must_compile}
-        return compiled_simulation(*parts, tell=tell, kept=kept, **wish)
+        return compiled_simulation(*parts, tell=tell, cache=cache, **wish)
     except ModelError as error:
         raise SceneError(f"{scene.name}: {error}") from error
 
@@ -94,7 +94,7 @@ def integrator_of(scene: Scene) -> Integrator:
 
 def default_integrator(scene: Scene) -> Mapping[str, Any]:
     """Entry of the integrator where the file names none."""
-    pairs = (part.pair for part in scene.constraints if hasattr(part, "pair"))
+    pairs = (part.pair for part in scene.constraints if part.pair is not None)
     if not all(pair.is_smooth for pair in pairs):
         return _TIME_STEPPING
     return _ADAPTIVE if any(part.is_elastic for part in scene.muscles) else DEFAULT_INTEGRATOR

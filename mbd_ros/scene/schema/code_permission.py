@@ -42,22 +42,22 @@ def code_of_others(entries: Mapping[str, Any], foreign: Sequence[str] = ()) -> d
     Returns:
         Key, such as `forces[0].type`, -> `package.module:Class`.
     """
-    found = {}
+    code = {}
     for key in (*(section.key for section in SECTIONS if section.has_types), *foreign):
         for where, entry in _entries(key, entries.get(key)):
             name = entry.get("type") if isinstance(entry, Mapping) else None
             if isinstance(name, str) and ":" in name:
-                found[f"{where}.type"] = name
-    return found
+                code[f"{where}.type"] = name
+    return code
 
 
-def _entries(key: str, given: Any) -> Iterator[tuple[str, Any]]:
+def _entries(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Every mapping that may be a part, with its key: the section itself and what it holds."""
-    yield key, given
-    if isinstance(given, Mapping):
-        yield from ((f"{key}.{name}", entry) for name, entry in given.items())
-    elif isinstance(given, Sequence) and not isinstance(given, str):
-        yield from ((f"{key}[{i}]", entry) for i, entry in enumerate(given))
+    yield key, value
+    if isinstance(value, Mapping):
+        yield from ((f"{key}.{name}", entry) for name, entry in value.items())
+    elif isinstance(value, Sequence) and not isinstance(value, str):
+        yield from ((f"{key}[{i}]", entry) for i, entry in enumerate(value))
 
 
 def require_permission(where: str, code: Mapping[str, str]) -> None:

@@ -64,9 +64,9 @@ def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) ->
         include_extras=True,
     )
     arguments = {}
-    for key, given in entry.items():
+    for key, item in entry.items():
         name = accepted[key].name
-        arguments[name] = value(given, hints.get(name, Any), f"{where}.{key}")
+        arguments[name] = value(item, hints.get(name, Any), f"{where}.{key}")
     try:
         _check(function, context, arguments)
         return function(*context, **arguments)
@@ -82,14 +82,14 @@ def _check(function: Any, context: Sequence[Any], arguments: Mapping[str, Any]) 
         check(*(bound.arguments[name] for name in inspect.signature(check).parameters))
 
 
-def _has_symbols(given: Any) -> bool:
-    inner = given.values() if isinstance(given, Mapping) else given
-    if isinstance(inner, list) or isinstance(given, Mapping):
+def _has_symbols(entry: Any) -> bool:
+    inner = entry.values() if isinstance(entry, Mapping) else entry
+    if isinstance(inner, list) or isinstance(entry, Mapping):
         return any(map(_has_symbols, inner))
-    return is_symbol(given)
+    return is_symbol(entry)
 
 
-def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> Any:
+def value(entry: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> Any:
     """A value checked against a type hint and its range; integers pass as numbers.
 
     Args:
@@ -100,45 +100,45 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
     Raises:
         SceneError: Names the key, what is expected and what was given.
     """
-    if is_symbol(given):
-        return given  # its range is that of the numbers that stand for it
+    if is_symbol(entry):
+        return entry  # its range is that of the numbers that stand for it
     hint, within, _, length = described(hint)
     accepted = within or accepted
     origin, inner = typing.get_origin(hint), typing.get_args(hint)
     if origin in (types.UnionType, typing.Union):
-        return None if given is None else value(given, _member(given, inner), where, accepted)
+        return None if entry is None else value(entry, _member(entry, inner), where, accepted)
     if origin is Literal:
-        if given not in inner:
-            raise SceneError(f"{where}: expected one of {', '.join(inner)}, got {given!r}")
-        return given
+        if entry not in inner:
+            raise SceneError(f"{where}: expected one of {', '.join(inner)}, got {entry!r}")
+        return entry
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        if not isinstance(given, dict):
-            raise SceneError(f"{where}: expected a mapping, got {given!r}")
-        return {key: value(v, inner[1], f"{where}.{key}", accepted) for key, v in given.items()}
+        if not isinstance(entry, dict):
+            raise SceneError(f"{where}: expected a mapping, got {entry!r}")
+        return {key: value(v, inner[1], f"{where}.{key}", accepted) for key, v in entry.items()}
     if isinstance(origin, type) and issubclass(origin, Sequence):
-        if not isinstance(given, list):
-            raise SceneError(f"{where}: expected a list, got {given!r}")
-        if length is not None and len(given) != length:
-            raise SceneError(f"{where}: expected {length} numbers, got {given}")
-        return [value(v, inner[0], f"{where}[{i}]", accepted) for i, v in enumerate(given)]
+        if not isinstance(entry, list):
+            raise SceneError(f"{where}: expected a list, got {entry!r}")
+        if length is not None and len(entry) != length:
+            raise SceneError(f"{where}: expected {length} numbers, got {entry}")
+        return [value(v, inner[0], f"{where}[{i}]", accepted) for i, v in enumerate(entry)]
     if hint is Any:
-        return given
-    if inspect.isclass(hint) and hint not in _EXPECTED and isinstance(given, hint):
-        return given  # what the reader of a section has built already
-    if hint is float and isinstance(given, int) and not isinstance(given, bool):
-        given = float(given)
-    if type(given) is not hint:
-        raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
+        return entry
+    if inspect.isclass(hint) and hint not in _EXPECTED and isinstance(entry, hint):
+        return entry  # what the reader of a section has built already
+    if hint is float and isinstance(entry, int) and not isinstance(entry, bool):
+        entry = float(entry)
+    if type(entry) is not hint:
+        raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {entry!r}")
     has_range = hint is float or (hint is int and accepted is not ANY_NUMBER)
-    return _within(given, accepted, where) if has_range else given
+    return _within(entry, accepted, where) if has_range else entry
 
 
-def _member(given: Any, union: Sequence[Any]) -> Any:
+def _member(entry: Any, union: Sequence[Any]) -> Any:
     """The first member of a union, but for a list the first that is one."""
     lists = [
         m for m in union if isinstance(o := typing.get_origin(m), type) and issubclass(o, Sequence)
     ]
-    return lists[0] if lists and isinstance(given, list) else union[0]
+    return lists[0] if lists and isinstance(entry, list) else union[0]
 
 
 def _within(number: float, accepted: Within, where: str) -> float:
@@ -210,8 +210,8 @@ def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:
         kind = str  # a file; from Python also what it holds
     is_keyword = parameter.kind in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     if kind not in _KINDS or not is_keyword:
-        given = "no annotation" if hint is None else f"the annotation {hint}"
-        raise ModelError(f"argument '{parameter.name}' has {given}; accepted: {ACCEPTED}")
+        annotation = "no annotation" if hint is None else f"the annotation {hint}"
+        raise ModelError(f"argument '{parameter.name}' has {annotation}; accepted: {ACCEPTED}")
     default = None if parameter.default is parameter.empty else parameter.default
     low, high = within[:2] if within else (-math.inf, math.inf)
     return Argument(parameter.name, kind, is_gain, default, low, high, unit, choices, text)
@@ -233,7 +233,7 @@ def entries(docstring: str | None, section: str = "Args") -> dict[str, str]:
     Returns:
         Name -> text in one line, in the order of the docstring; empty without the section.
     """
-    found: dict[str, list[str]] = {}
+    lines_of: dict[str, list[str]] = {}
     width = name = None
     for line in _lines(docstring or "", section):
         indent = len(line) - len(line.lstrip())
@@ -241,10 +241,10 @@ def entries(docstring: str | None, section: str = "Args") -> dict[str, str]:
         entry = _ENTRY.fullmatch(line.strip()) if indent == width else None
         if entry:
             name = entry[1]
-            found[name] = [entry[2]]
+            lines_of[name] = [entry[2]]
         elif name is not None:
-            found[name].append(line.strip())
-    return {key: " ".join(part for part in parts if part) for key, parts in found.items()}
+            lines_of[name].append(line.strip())
+    return {key: " ".join(part for part in parts if part) for key, parts in lines_of.items()}
 
 
 def _lines(docstring: str, section: str) -> list[str]:

@@ -149,7 +149,7 @@ SECTIONS = (
         Form.NAMED,
         "mbd_ros.scene.reading.phase_entries:build_phases",
         (*_EVERY_ROBOT, "couplings", "constraints", "contacts"),
-        check="phase: {name}, {part.on}; {part.told}",
+        check="phase: {name}, {part.on}; {part.summary}",
     ),
     Section(
         "stabilization",

@@ -121,7 +121,7 @@ def test_scenes_are_the_problems(name):
     """Event-driven to the precision that is asked, so that no mass, radius or law is another."""
     problem = PROBLEMS[name]
     trace, _ = ours.OurContacts(problem, DOP853).run(problem.times)
-    assert problem.error(trace) <= 10.0 * problem.asked
+    assert problem.error(trace) <= 10.0 * problem.demanded
     assert penetration(problem, trace) <= 1e-9
 
 
@@ -147,8 +147,8 @@ def planted(position, package="mbd_ros", **others):
     return {**run, **costs, **choice, **others}
 
 
-def outcome(*runs, asked=1e-9):
-    facts = {"span": 1.0, "unit": "m/s", "asked": asked, "quick": False, "agreement": 0.0}
+def outcome(*runs, demanded=1e-9):
+    facts = {"span": 1.0, "unit": "m/s", "demanded": demanded, "quick": False, "agreement": 0.0}
     return {"runs": list(runs), "setups": [], **facts}
 
 

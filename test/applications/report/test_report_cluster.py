@@ -62,7 +62,7 @@ def test_one_worker_killed_during_the_sweep_changes_nothing(tmp_path, cluster):
 def test_an_item_that_takes_every_worker_with_it_is_wrong(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("FAKE_FAULT", "segfault")
     assert main(["report", "--scheduler", "local:2", "-o", str(tmp_path / "out")]) == 1
-    assert "fake/number-03: Dask gave it up" in capsys.readouterr().err
+    assert "fake/number-03: Dask abandoned it" in capsys.readouterr().err
     assert set(ran(tmp_path)) == set(range(12))
 
 
@@ -112,7 +112,7 @@ def test_without_dask_the_line_that_brings_it_is_said(tmp_path, monkeypatch, cap
 
 
 def test_an_address_without_an_answer_is_bad_input(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("mbd_ros.jobs.workers.cluster._CONNECT", 1.0)
+    monkeypatch.setattr("mbd_ros.jobs.workers.cluster._CONNECT_TIMEOUT", 1.0)
     words = ["report", "--scheduler", "tcp://127.0.0.1:9", "-o", str(tmp_path / "out")]
     assert main(words) == 2
     assert "--scheduler tcp://127.0.0.1:9" in capsys.readouterr().err

@@ -72,7 +72,10 @@ def test_workers_end_with_a_killed_parent(tmp_path):
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [("segfault", "its process ended by SIGSEGV, 2 times"), ("raise", "RuntimeError: planted")],
+    [
+        ("segfault", "its process ended by SIGSEGV in each of 2 attempts"),
+        ("raise", "RuntimeError: planted"),
+    ],
 )
 def test_an_item_that_fails_is_wrong_and_tried_again_later(
     tmp_path, monkeypatch, capsys, fault, reason

@@ -100,8 +100,8 @@ def test_a_soft_constraint_is_wrong(monkeypatch):
 
     right, data = Kkt.accelerator, {}
 
-    def soft(self):
-        right(self)
+    def soft(self, mode):
+        right(self, mode)
         k, rows = self.mechanism.k, self._rigid.constraints
         model = self.mechanism.model
         data[self] = model.createData()

@@ -91,7 +91,7 @@ def test_a_part_without_a_form_is_named_with_its_reason(pair):
     scene = scene_with(*pair, "floating", np.random.default_rng(4))
     name = scene.parts[pair[0]][0].name
     system = scene.system()
-    mode = None if system.exact else ()
+    mode = None if system.event_rows else ()
     with pytest.raises(Untraceable, match=f"{name}.*{REFUSED[pair]}"):
         trace(system, mode=mode).function("accelerate")
 

@@ -74,9 +74,9 @@ def elsewhere(seed):
 
 def is_regular(system, y):
     """Whether rows are independent enough for their multipliers."""
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return True
-    return system.held.factor_at(y.t, system.expand(y).q).condition < 0.03 * NEAR_TOGGLE
+    return system.bilateral.factor_at(y.t, system.expand(y).q).condition < 0.03 * NEAR_TOGGLE
 
 
 def check(seed):
@@ -123,9 +123,9 @@ def compare(system, seed):
 def weight(system, y, lam):
     """Size of the accelerations that cancel in the sum: of a free fall, and of the rows."""
     falls = float(np.linalg.norm(system.model.gravity.linear))
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return falls
-    M, J = np.array(system.mass(y.q).dense), system.held.jacobian(y.t, y.q)
+    M, J = np.array(system.mass(y.q).dense), system.bilateral.jacobian(y.t, y.q)
     return max(falls, np.abs(np.linalg.solve(M, J.T @ lam)).max())
 
 

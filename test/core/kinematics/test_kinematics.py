@@ -106,7 +106,7 @@ def test_a_point_moves_as_the_frame_that_pinocchio_has_there(robot, moment):
         (k.acceleration(point), bent),
         (k.spatial_jacobian(point), J.reshape(6, -1)),
         (k.jacobian(point), J.reshape(6, -1)[:3]),
-        (k.own_jacobian(point), pin.getFrameJacobian(model, data, frame, own).reshape(6, -1)),
+        (k.local_jacobian(point), pin.getFrameJacobian(model, data, frame, own).reshape(6, -1)),
         (k.jacobian(point) @ v, k.velocity(point)),
     ]
     for found, expected in pairs:
@@ -120,7 +120,7 @@ def test_a_point_at_rest_stands_still(robot, moment):
     assert not point.moves
     assert k.position(point) == pytest.approx(PLACE["xyz"], abs=0.0)
     assert k.rotation(point) == pytest.approx(pin.rpy.rpyToMatrix(*PLACE["rpy"]), abs=0.0)
-    still = (k.velocity, k.acceleration, k.jacobian, k.spatial_jacobian, k.own_jacobian)
+    still = (k.velocity, k.acceleration, k.jacobian, k.spatial_jacobian, k.local_jacobian)
     assert not any(call(point).any() for call in still)
     assert k.spatial_jacobian(point).shape == (6, robot.model.nv)
 
@@ -167,7 +167,7 @@ def test_a_point_has_one_number_however_often_it_is_asked_for(robot):
     points = [robot.point(link, **PLACE) for _ in range(3)]
     assert len({point.number for point in points}) == 1
     assert len(robot.places.points) == count + 1
-    turned = robot.turned(points[0], pin.rpy.rpyToMatrix(0.0, 0.0, 1.0))
+    turned = robot.rotated(points[0], pin.rpy.rpyToMatrix(0.0, 0.0, 1.0))
     assert turned.number != points[0].number
     pairs = [robot.pair(robot.point("universe"), points[0]) for _ in range(2)]
     assert pairs[0].number == pairs[1].number
@@ -177,5 +177,5 @@ def test_points_that_do_not_exist_are_named(robot):
     link = link_of(robot)
     with pytest.raises(ModelError, match="no frame 'nose'; the links are"):
         robot.point("nose")
-    with pytest.raises(ModelError, match="do not move against each other"):
+    with pytest.raises(ModelError, match="have no relative motion"):
         robot.pair(robot.point(link), robot.point(link, (0.0, 1.0, 0.0)))

@@ -172,7 +172,7 @@ def test_dependent_joints_move_along():
 
 
 def test_a_scene_without_paths_is_refused():
-    with pytest.raises(DataError, match="there are no paths"):
+    with pytest.raises(DataError, match="has no paths"):
         mbd.load_scene("arm7").moment_arms(motion({"time": np.zeros(2)}))
 
 

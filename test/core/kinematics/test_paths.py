@@ -381,7 +381,7 @@ KNEE = {"joint": "knee", "lower": 0.1}
         ("strip", "forces[0].path: no path 'strip', accepted: strap"),
         ({}, "forces[0].path: a path needs points, joints or polynomial"),
         ({"points": POINTS[:1]}, "forces[0].path: a path needs two points or more, got 1"),
-        ({"points": [POINTS[1], {"frame": "toe"}]}, "frames 'foot' and 'toe' do not move against"),
+        ({"points": [POINTS[1], {"frame": "toe"}]}, "frames 'foot' and 'toe' have no relative"),
         ({"points": [{"frame": "nose"}, POINTS[1]]}, "path.points[0]: no frame 'nose'; the links"),
         (
             {"points": POINTS, "bends": []},

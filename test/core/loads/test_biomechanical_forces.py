@@ -137,7 +137,7 @@ def test_forces_along_a_path_pull_by_their_laws():
     [
         (
             {"type": "soft_limit", "joint": "joint4", "transition": 0.1},
-            "give lower, upper or both",
+            "lower and upper are missing",
         ),
         (
             {"type": "soft_limit", "joint": "joint4", "transition": 0.1, "lower": 1, "upper": 0},
@@ -153,11 +153,11 @@ def test_forces_along_a_path_pull_by_their_laws():
         ),
         (
             {"type": "body_force", "frame": "link5", "direction": [0, 0, 1], "against": "link2"},
-            "against goes with kind: torque",
+            "against is accepted with kind: torque",
         ),
         (
             {"type": "body_force", "frame": "base", "direction": [0, 0, 1]},
-            "frame 'base' does not move",
+            "frame 'base' cannot move",
         ),
     ],
 )

@@ -146,7 +146,7 @@ def test_jumps_are_those_of_the_rows_and_samples():
     [
         (lambda: HeldTable([1.0, 0.0], [[1.0], [2.0]]), "must be finite and increasing"),
         (lambda: HeldTable([0.0], [[np.nan]]), "values at 0 s must be finite"),
-        (lambda: HeldTable([0.0], [1.0]), r"values of shape \(1,\) for 1 times"),
+        (lambda: HeldTable([0.0], [1.0]), r"values have shape \(1,\), but must have 1 rows"),
         (lambda: LinearTable([0.0], [[1.0]]), "accepted: 2 or more"),
         (lambda: LinearTable([0.0, 0.0], [[1.0], [2.0]]), "strictly increasing"),
         (lambda: Polynomials([0.0], [[1.0]]), r"accepted: \(m, powers, n\)"),

@@ -113,7 +113,7 @@ def test_number_of_wrenches_must_be_that_of_the_scene(built):
     loads = [ExternalWrench(ROBOT, frame="link7")] * built
     inverse, zero = InverseDynamics(ROBOT, Couplings(ROBOT), loads), np.zeros(7)
     for given in {0, 1, 2, 3} - {0, built}:
-        message = f"{given} wrenches given, the scene has {built}"
+        message = f"got {given} wrenches, but the scene has {built}"
         with pytest.raises(ModelError, match=message):
             inverse.solve(zero, zero, zero, [np.ones(6)] * given)
         with pytest.raises(ModelError, match=message):

@@ -366,11 +366,11 @@ def test_what_a_description_says_besides_goes_by_the_name_of_its_robot(tmp_path)
     scene = scene_from({"robots": {"left": entry, "right": entry}})
     assert scene.couplings.parents == {"left/grip": "left/bend", "right/grip": "right/bend"}
     assert scene.robot.joint("right/bend").urdf_name == "right/elbow"
-    assert {name: rub.damping for name, rub in scene.robot.rubbing.items()} == {
+    assert {name: rub.damping for name, rub in scene.robot.joint_friction.items()} == {
         "left/grip": 0.5,
         "right/grip": 0.5,
     }
-    assert [line.partition(":")[0] for line in scene.robot.doubts] == ["left", "right"]
+    assert [line.partition(":")[0] for line in scene.robot.inertia_warnings] == ["left", "right"]
     assert "damping of left/grip, right/grip" in scene.check()
 
 
@@ -483,10 +483,10 @@ def test_a_body_without_mass_is_named(files):
         ({"bodies": {"my box": BOX}}, "bodies.my box: is no ROS name"),
         (
             {"bodies": dict.fromkeys([f"box_{i}" for i in range(50)], BOX)},
-            "302 joints that move, a free body counts as six; accepted are 300 in all",
+            "there are 302 moving joints, where a free body counts as six; at most 300",
         ),
-        ({"bodies": {"base": BOX}}, "name 'base' stands for something else"),
-        ({"bodies": {"sat": BOX}}, "name 'sat' is given twice"),
+        ({"bodies": {"base": BOX}}, "name 'base' is reserved"),
+        ({"bodies": {"sat": BOX}}, "name 'sat' is used twice"),
         (
             {"bodies": {"box": {**BOX, "pose": {"rpy": [0, 0, 0], "quaternion": [0, 0, 0, 1]}}}},
             "bodies.box.pose: give either 'rpy' or 'quaternion'",

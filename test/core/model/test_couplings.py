@@ -72,14 +72,14 @@ def test_spline_passes_its_knots_and_continues_as_straight_lines():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: Polynomial([]), "polynomial has no coefficients"),
-        (lambda: natural_cubic_spline([0.0, 1.0], [0.0]), "spline has 2 x and 1 y"),
+        (lambda: Polynomial([]), "a polynomial needs at least one"),
+        (lambda: natural_cubic_spline([0.0, 1.0], [0.0]), "spline has 2 values of x and 1 of y"),
         (lambda: natural_cubic_spline([0.0], [0.0]), "x must be at least two increasing"),
         (lambda: natural_cubic_spline([0.0, 0.0], [0.0, 1.0]), "increasing numbers, got"),
         (lambda: PiecewisePolynomial([1.0, 0.0], [[1.0]]), "breaks must be at least two incr"),
-        (lambda: PiecewisePolynomial([0.0, 1.0], []), "0 rows of coefficients for 1 intervals"),
-        (lambda: PiecewisePolynomial([0.0, 1.0], [[]]), "differ in length or are empty"),
-        (lambda: PiecewisePolynomial(BREAKS, [[1.0], [1.0, 2.0]]), "differ in length"),
+        (lambda: PiecewisePolynomial([0.0, 1.0], []), "coefficients have 0 rows, but there are 1"),
+        (lambda: PiecewisePolynomial([0.0, 1.0], [[]]), "must have the same length"),
+        (lambda: PiecewisePolynomial(BREAKS, [[1.0], [1.0, 2.0]]), "must have the same length"),
     ],
 )
 def test_law_that_makes_no_sense_is_refused(build, message):

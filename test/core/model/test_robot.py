@@ -75,9 +75,9 @@ def test_locked_joint_equals_a_joint_fixed_by_hand():
         ({"locked": {"nose": 0.0}}, "locked: joint 'nose' does not exist"),
         ({"locked": {"flange_fix": 0.0}}, "locked: joint 'flange_fix' is fixed already"),
         ({"rename": {"nose": "a"}}, "rename: no joint 'nose'; the robot has joint1, "),
-        ({"rename": {"joint1": "joint2"}}, "rename: two joints would be called joint2"),
+        ({"rename": {"joint1": "joint2"}}, "rename: two joints would have the name joint2"),
         ({"rename": {"joint1": ""}}, "rename: the new name of 'joint1' is empty"),
-        ({"base": "flying"}, "base 'flying', accepted: fixed, floating"),
+        ({"base": "flying"}, "base is 'flying', accepted: fixed, floating"),
     ],
 )
 def test_options_that_do_not_fit_are_named(options, message):
@@ -132,8 +132,8 @@ def test_what_is_left_out_is_said():
     rubbed = LEG.replace('<child link="foot"/>', '<child link="foot"/><dynamics damping="0.5"/>')
     robot = read_robot(rubbed.replace("</robot>", "<transmission/></robot>"))
     assert robot.ignored == ("URDF <transmission>",)
-    assert robot.rubbing == {"ankle": (0.0, 0.5)}
-    assert (read_robot(LEG).ignored, read_robot(LEG).rubbing) == ((), {})
+    assert robot.joint_friction == {"ankle": (0.0, 0.5)}
+    assert (read_robot(LEG).ignored, read_robot(LEG).joint_friction) == ((), {})
 
 
 def test_a_continuous_joint_without_an_effort_limit_has_none():

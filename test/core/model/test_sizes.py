@@ -61,7 +61,7 @@ def in_a_process(program):
         ),
         (
             {"couplings": {"j2": {"parent": JOINT, "polynomial": [0.0] * 150_000}}},
-            "couplings.j2: 150000 coefficients, accepted are 1000",
+            "couplings.j2: a polynomial has 150000 coefficients, accepted are 1000",
         ),
         ({"text": "a: [" + "{}," * 300_000 + "]"}, "line 1: more than 200000 values"),
     ],

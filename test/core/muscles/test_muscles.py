@@ -129,7 +129,7 @@ def test_forces_of_many_muscles_at_once_are_those_of_each(kind):
     ("more", "said"),
     [
         ({"pennation_angle": 1.5}, "must be below maximum_pennation_angle 1.47063"),
-        ({"tendon_slack_length": 0.0}, "an elastic tendon has a length"),
+        ({"tendon_slack_length": 0.0}, "must be positive for an elastic tendon"),
         ({"minimum_activation": 0.0}, "minimum_activation: 0 is out of range"),
         ({"tendon": "soft"}, "tendon: expected one of elastic, rigid, got 'soft'"),
         ({"max_isometric_force": -3.0}, "max_isometric_force: -3 is out of range"),
@@ -195,5 +195,5 @@ def test_energies_are_integrals_of_their_forces_and_speeds_invert_them(kind):
 def test_a_controller_refuses_muscles():
     entry = {"type": "thelen", "name": "m", "path": ANY_PATH, **SIZES}
     scene = scene_from({"muscles": [entry]}, urdf="prosthetic_leg")
-    with pytest.raises(SceneError, match="a controller drives actuators, no muscles"):
+    with pytest.raises(SceneError, match="a controller drives actuators but no muscles"):
         scene.controlled_joints()

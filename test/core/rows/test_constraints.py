@@ -494,19 +494,19 @@ NAN, INF = math.nan, math.inf
         (
             Distance,
             {"frame_a": "foot", "frame_b": "toe", "distance": 1.0},
-            "frames 'foot' and 'toe' do not move against each other",
+            "frames 'foot' and 'toe' have no relative motion",
         ),
         (LoopClosure, {**ENDS, "kind": "ball"}, ".kind: expected one of point, revolute, full"),
         (LoopClosure, {**ENDS, "directions": "yx"}, "one of x, y, z, xy, xz, yz, xyz, got 'yx'"),
         (LoopClosure, {**ENDS, "directions": ""}, ".directions: expected one of x, y, z"),
         (LoopClosure, {**ENDS, "axis": "-z"}, ".axis: expected one of x, y, z, got '-z'"),
         (LoopClosure, {**ENDS, "rpy_b": (0, 0, NAN)}, ".rpy_b[2]: nan is out of range"),
-        (LoopClosure, {"frame_a": "foot", "frame_b": "heel"}, "do not move against each other"),
-        (FrameAnchor, {**FOOT, "position": (0, 0, 0)}, "orientation goes with kind full"),
+        (LoopClosure, {"frame_a": "foot", "frame_b": "heel"}, "have no relative motion"),
+        (FrameAnchor, {**FOOT, "position": (0, 0, 0)}, "orientation must be given for kind full"),
         (
             FrameAnchor,
             {**FOOT, "position": A, "orientation": A, "kind": "point"},
-            "orientation goes with kind full",
+            "orientation must be left out for kind point",
         ),
         (
             FrameAnchor,
@@ -517,7 +517,7 @@ NAN, INF = math.nan, math.inf
         (
             FrameAnchor,
             {"frame": "world", "position": A, "kind": "point"},
-            "frames 'universe' and 'world' do not move against each other",
+            "frames 'universe' and 'world' have no relative motion",
         ),
         (
             PointOnPlane,
@@ -532,7 +532,7 @@ NAN, INF = math.nan, math.inf
         (
             PointOnPlane,
             {**FOOT, "plane_frame": "foot", "normal": (0, 0, 1)},
-            "frames 'foot' and 'foot' do not move against each other",
+            "frames 'foot' and 'foot' have no relative motion",
         ),
         (Screw, {"joint": "ankle", "parent": "knee", "pitch": 1.0}, "'ankle' is revolute, accept"),
         (
@@ -557,12 +557,12 @@ NAN, INF = math.nan, math.inf
             {"joint": "knee", "polynomial": [1.0], "spline": {}},
             "got polynomial, spline",
         ),
-        (PrescribedMotion, {"joint": "knee", "polynomial": []}, "polynomial has no coefficients"),
+        (PrescribedMotion, {"joint": "knee", "polynomial": []}, "a polynomial needs at least one"),
         (PrescribedMotion, {"joint": "knee", "polynomial": [NAN]}, ".polynomial[0]: nan is out"),
         (
             PrescribedMotion,
             {"joint": "knee", "harmonic": {"amplitude": 1.0}},
-            "harmonic lacks angular_frequency",
+            "harmonic: angular_frequency is missing",
         ),
         (
             PrescribedMotion,

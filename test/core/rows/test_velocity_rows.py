@@ -154,7 +154,7 @@ def test_an_edge_beside_a_loop_moves_nothing_that_the_loop_need_not_move(move, e
         x = open_cart(rng, 1e-3)
         found, other = move(with_edge, x), move(without, x)
         assert np.array_equal(found.q, other.q)
-        J = with_edge.held.jacobian(0.0, found.q)
+        J = with_edge.bilateral.jacobian(0.0, found.q)
         assert len(J) == 2 + len(edges) == len(without.rows) + len(edges)
         assert np.abs(J @ found.v).max() <= 1e-12
         M = with_edge.mass(found.q).dense.copy()
@@ -275,7 +275,7 @@ def test_inverse_dynamics_counts_the_force_of_an_edge():
     assert found.tau == pytest.approx(list(torques.values()), abs=1e-9)
     assert found.multipliers == pytest.approx(now.lam, abs=1e-9)
     slips = x._replace(v=x.v + np.array((0.0, 0.1, 0.0, 0.0, 0.0, 0.0)))
-    again, _ = inverse.consistent(slips, now.a)
+    again, _ = inverse.project_motion(slips, now.a)
     assert abs(edge_by_hand(scene, again)[0] @ again.v) <= 1e-12
 
 
@@ -291,7 +291,7 @@ def test_a_projected_measurement_keeps_the_edge_in_its_velocity_alone(scene, lac
     if lacks is not None:
         rates[lacks] = False
     found = StateProjector(system).project(Measurement(x, every, rates)).x
-    J = system.held.jacobian(0.0, found.q)
+    J = system.bilateral.jacobian(0.0, found.q)
     assert np.abs(J @ found.v).max() <= 1e-12
     if n == 3:
         assert np.array_equal(found.q, x.q)

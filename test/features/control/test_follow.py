@@ -13,7 +13,7 @@ from mbd_ros import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.control.regulator import recorded, riccati_backwards, riccati_steady
+from mbd_ros.features.control.regulator import read_reference, riccati_backwards, riccati_steady
 from mbd_ros.files.plan import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.methods.control.contract import EffortBox, Reference
@@ -195,7 +195,7 @@ def test_the_command_writes_a_plan_and_says_its_tube(tmp_path, capsys):
     assert main([*words, "-o", str(tmp_path / "plan.npz"), "--position", "0"]) == 2
     assert "position: 0 must be finite and > 0" in capsys.readouterr().err
     assert main([*words[:-1], "1000000000", "-o", str(tmp_path / "plan.npz")]) == 2
-    assert "tube: 1000000000, accepted are 0 .. 100000" in capsys.readouterr().err
+    assert "tube: 1000000000 disturbances, accepted are 0 .. 100000" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_the_command_writes_a_plan_and_says_its_tube(tmp_path, capsys):
     [
         ("free_flyer", "fixed bases"),
         ("muscle_arm", "internal states"),
-        ("prosthetic_arm", "there are none"),
+        ("prosthetic_arm", "the scene has none"),
     ],
 )
 def test_scenes_that_no_gains_lead_are_refused(scene, message):
@@ -214,7 +214,7 @@ def test_scenes_that_no_gains_lead_are_refused(scene, message):
 def test_a_motion_without_efforts_is_refused():
     table = swing_up()[MAIN]
     bare = Table([column for column in table.columns if column.name != "cart.effort"])
-    with pytest.raises(DataError, match="efforts of cart are missing"):
+    with pytest.raises(DataError, match="samples with efforts of cart"):
         load_scene("cart_pole").follow(Result({MAIN: bare}))
 
 
@@ -260,7 +260,7 @@ def test_a_hundred_disturbed_steps_of_the_biped_return_to_the_plan(seed):
     """Events and impacts of the scene, torques held for 1 ms: the foot neither slips nor lifts,
     the next step begins in the tube, and most nearer to the plan than this one did."""
     scene, step, plan = followed_step()
-    motion, rng = recorded(scene, step), np.random.default_rng(seed)
+    motion, rng = read_reference(scene, step), np.random.default_rng(seed)
     slopes = IndependentSlopes(scene.phased_system().systems[0], motion.states)
     simulation = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-8})
     costs = []

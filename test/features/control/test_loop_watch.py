@@ -111,7 +111,7 @@ class DelayedLoop:
         if watch.fault and self.fault is None:
             self.fault = now.t, watch.fault
         if now.t > BEGIN - 0.1 and not watch.fault:
-            self.worst = max(self.worst, float((np.abs(command.error) / watch.promised).max()))
+            self.worst = max(self.worst, float((np.abs(command.error) / watch.error_bound).max()))
         v = np.abs(now.velocity[self._driven])
         self.fastest = max(self.fastest, float((v / self.speeds).max()))
 
@@ -296,7 +296,7 @@ def test_gains_that_leave_no_room_say_so():
     loop = DelayedLoop("controlled_arm", "gravity_compensation", 1000.0, damping=5.0)
     loop.run(0.02)
     assert loop.watch.tolerable == 0.0
-    assert "the gains leave no room for a delay at a period of 1 ms" in loop.watch.warnings()
+    assert "the gains tolerate no delay at a period of 1 ms" in loop.watch.warnings()
 
 
 @pytest.mark.parametrize("name", ["controlled_arm", "controlled_four_bar"])
@@ -309,7 +309,7 @@ def test_where_gains_leave_no_room_error_and_speed_decide(name):
     assert loop.watch.tolerable == 0.0
     assert loop.watch.delay == pytest.approx(0.01)
     assert loop.worst > 1.0  # the tolerable delay is true
-    assert any("no room for a delay" in text for text in loop.watch.warnings())
+    assert any("the gains tolerate no delay" in text for text in loop.watch.warnings())
     assert loop.fault is None and loop.fastest < 1.0
     loop.run(4.0, 0.04)
     assert loop.fault is not None and "loop delay" not in loop.fault[1]

@@ -412,7 +412,7 @@ def test_what_is_not_finite_is_an_error_and_nothing_else_is():
     with pytest.raises(SolveError, match="state, reference or dynamics are not finite"):
         controller.effort(x, ref._replace(q=bad), NO_MEMORY, box)
     for empty in (EffortBox(bad, box.upper), EffortBox(box.upper + 1.0, box.upper)):
-        with pytest.raises(SolveError, match="the effort box is empty or not a number"):
+        with pytest.raises(SolveError, match="effort limits are not a number, or"):
             controller.effort(x, ref, NO_MEMORY, empty)
     wild = Reference(np.full(n, 1e9), np.zeros(n), np.full(n, -1e12))
     for _ in range(2):

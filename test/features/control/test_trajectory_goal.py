@@ -70,9 +70,12 @@ def test_zero_leaves_the_default_a_negative_number_lifts_it():
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        (("toe", 0.1, 0.0, 0.0), "path_tolerance of 'toe': not controlled; accepted: hip, knee"),
-        (("hip", np.nan, 0.0, 0.0), "path_tolerance of 'hip': position is no number"),
-        (("hip", 0.1, np.nan, 0.0), "path_tolerance of 'hip': velocity is no number"),
+        (
+            ("toe", 0.1, 0.0, 0.0),
+            "'toe': the joint is not controlled; accepted: hip, knee",
+        ),
+        (("hip", np.nan, 0.0, 0.0), "path_tolerance of 'hip': position is not a number"),
+        (("hip", 0.1, np.nan, 0.0), "path_tolerance of 'hip': velocity is not a number"),
         (("hip", 0.1, 0.0, 2.0), "acceleration 2; accepted: 0"),
         (("hip", 0.1, 0.0, np.nan), "acceleration nan; accepted: 0"),
     ],

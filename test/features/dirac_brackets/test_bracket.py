@@ -79,7 +79,7 @@ def test_the_command_writes_a_table(tmp_path, capsys):
     out = tmp_path / "o.csv"
     assert main(["bracket", "particles/sphere", "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "3 coordinates, 1 independent rows" in said
+    assert "3 coordinates, 1 independent constraints" in said
     assert "{bob.x, p_bob.x} = " in said
     table = np.genfromtxt(out, delimiter=",", names=True, deletechars="")
     assert len(table) == 6
@@ -90,7 +90,7 @@ def test_the_command_writes_a_table(tmp_path, capsys):
     [
         ("free_flyer", "free bodies"),
         ("stack", "contacts"),
-        ("controlled_leg", "bilateral rows"),
+        ("controlled_leg", "bilateral constraints"),
         ("particles/nothing", "no such file"),
     ],
 )

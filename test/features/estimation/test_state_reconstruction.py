@@ -65,7 +65,7 @@ def test_dependent_joints_follow_their_coupling_from_the_first_sample_on(leg, mi
     for k in range(5):
         q, v = swing(leg.scene, k)
         assert_state(leg.observe(k, q, v, missing), q, v)
-        assert (leg.reconstructor.missing, leg.reconstructor.held) == (missing, ())
+        assert (leg.reconstructor.missing, leg.reconstructor.held_joints) == (missing, ())
 
 
 def test_a_dependent_position_that_is_not_finite_is_missing(leg):
@@ -87,7 +87,7 @@ def test_a_joint_of_a_loop_stays_on_its_branch(missing):
     for k, x in enumerate(states):
         found = stream.observe(k, x.q, x.v, [missing])
         assert_state(found, x.q, x.v, atol=1e-8)
-        assert (stream.reconstructor.missing, stream.reconstructor.held) == ((missing,), ())
+        assert (stream.reconstructor.missing, stream.reconstructor.held_joints) == ((missing,), ())
 
 
 def test_what_nothing_determines_is_held_and_is_incomplete_when_it_is_too_old():
@@ -98,15 +98,15 @@ def test_what_nothing_determines_is_held_and_is_incomplete_when_it_is_too_old():
     for k in (5, 10):
         q, v = swing(stream.scene, k)
         found = stream.observe(k, q, v, ["ankle"])
-        assert stream.reconstructor.held == stream.reconstructor.missing == ("ankle",)
+        assert stream.reconstructor.held_joints == stream.reconstructor.missing == ("ankle",)
         assert found.x.q[ankle] == pytest.approx(q0[ankle], abs=1e-12)
         np.testing.assert_allclose(np.delete(found.x.q, ankle), np.delete(q, ankle), atol=1e-12)
     for k in (11, 12, 30):
         assert stream.observe(k, *swing(stream.scene, k), ["ankle"]) is SampleStatus.INCOMPLETE
-        assert stream.reconstructor.held == ("ankle",)
+        assert stream.reconstructor.held_joints == ("ankle",)
     q, v = swing(stream.scene, 31)
     assert_state(stream.observe(31, q, v), q, v)
-    assert stream.reconstructor.held == stream.reconstructor.missing == ()
+    assert stream.reconstructor.held_joints == stream.reconstructor.missing == ()
 
 
 def test_what_was_never_seen_is_incomplete(leg):

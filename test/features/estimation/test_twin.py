@@ -54,7 +54,7 @@ def test_a_crank_determines_its_press_everywhere():
 
 def test_open_chains_have_nothing_to_ask():
     system = load_scene("arm7").system()
-    assert not Determinations(system, ["joint1"]).asks
+    assert not Determinations(system, ["joint1"]).is_needed
 
 
 def test_alarms_come_with_shifts_and_end_with_them():

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.core.model.inertial_parameters import is_consistent
-from mbd_ros.features.identification.physical_consistency import consistent
+from mbd_ros.features.identification.physical_consistency import fit_consistent_bodies
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 GIVEN = pin.Inertia(2.0, np.array([0.05, 0.02, -0.1]), np.diag([0.02, 0.03, 0.025]))
@@ -23,10 +23,10 @@ def test_a_body_of_any_sign_is_found_and_friction_does_not_drive():
     p = TRUE.toDynamicParameters()
     A, b = rows(np.concatenate([p, [0.3, -0.2]]))
     given = GIVEN.toDynamicParameters()[None]
-    found = consistent(A, b, np.eye(10), given, np.array([True, False]))
+    found = fit_consistent_bodies(A, b, np.eye(10), given, np.array([True, False]))
     assert found.inertial[0] == pytest.approx(p, abs=1e-6)
     assert found.friction == pytest.approx([0.3, -0.2], abs=1e-6)
-    found = consistent(A, b, np.eye(10), given, np.array([True, True]))
+    found = fit_consistent_bodies(A, b, np.eye(10), given, np.array([True, True]))
     assert found.friction[1] == pytest.approx(0.0, abs=1e-6)
     assert found.friction[0] >= 0.0
     assert is_consistent(found.inertial[0])
@@ -38,7 +38,7 @@ def test_data_of_no_body_give_one_and_nothing_else_is_nearer():
     p[4] = -0.02
     A, b = rows(p)
     given = GIVEN.toDynamicParameters()[None]
-    found = consistent(A, b, np.eye(10), given, np.zeros(0, dtype=np.bool_)).inertial[0]
+    found = fit_consistent_bodies(A, b, np.eye(10), given, np.zeros(0, dtype=np.bool_)).inertial[0]
     assert is_consistent(found)
 
     def cost(numbers):
@@ -57,6 +57,8 @@ def test_what_the_data_do_not_tell_stays_as_given():
     p = GIVEN.toDynamicParameters()
     A = np.zeros((5, 10))
     A[:, 0] = 1.0e4
-    found = consistent(A, A[:, 0] * 3.0, np.eye(10), p[None], np.zeros(0, dtype=np.bool_))
+    found = fit_consistent_bodies(
+        A, A[:, 0] * 3.0, np.eye(10), p[None], np.zeros(0, dtype=np.bool_)
+    )
     assert found.inertial[0, 0] == pytest.approx(3.0, rel=1e-4)
     assert is_consistent(found.inertial[0])

@@ -109,8 +109,8 @@ def test_the_command_writes_the_same_trajectory_three_times(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("scene", "words", "said"),
     [
-        ("four_bar_leg", [], "identify takes recordings of loops"),
-        ("free_flyer", [], "Hold the base"),
+        ("four_bar_leg", [], "identify accepts recordings of loops"),
+        ("free_flyer", [], "fix the base"),
         ("arm7", ["--harmonics", "2"], "--harmonics 2: accepted are 3 .. 50"),
         ("arm7", ["--rate", "1000"], "10000 points"),
     ],

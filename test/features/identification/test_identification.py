@@ -20,7 +20,7 @@ from mbd_ros.features.identification.job import identify
 from mbd_ros.features.identification.regressor import (
     Regressor,
     base_parameters,
-    expressions,
+    format_expressions,
     random_states,
 )
 from mbd_ros.motion.recordings import read_motion
@@ -66,7 +66,7 @@ def test_base_parameters_of_a_leg_are_those_of_the_textbook():
     scene = scene_from({}, urdf=LEG)
     base, _ = base_of(scene)
     names = [body.name for body in moving_bodies(scene.robot)]
-    found = expressions(base, names)
+    found = format_expressions(base, names)
     about = "shank.Iyy + shank.mass (shank.cx^2 + shank.cz^2)"
     assert found == [
         "thigh.mass thigh.cx",
@@ -228,7 +228,7 @@ BAD = {
     "another sign": (lambda d, n: changed(d, n, "effort", lambda x: -x), "of the other sign"),
     "too short": (lambda d, n: short(d), "too short"),
     "in phase": (lambda d, n: in_phase(n), "in one phase, does not show .*link1"),
-    "a joint at rest": (lambda d, n: rested(d, n[3]), "moves by 0 only"),
+    "a joint at rest": (lambda d, n: rested(d, n[3]), "moves by only 0"),
 }
 
 

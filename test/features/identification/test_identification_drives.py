@@ -111,7 +111,7 @@ def test_gains_of_currents_are_found_where_something_fixes_the_scale(fixed_by):
         more["payload"] = ("link7", [3.0, 0.02, 0.01, 0.1, 0.01, 0.01, 0.01])
     scene = bare.with_inertias({name: inertias[name] for name in more.get("known", ())})
     if fixed_by == "nothing":
-        with pytest.raises(DataError, match=f"fixes the gains of {', '.join(names)}.*--held"):
+        with pytest.raises(DataError, match=f"determines the gains of {', '.join(names)}.*--held"):
             identify(scene, data, currents=True)
         return
     found = identify(scene, data, currents=True, **more)
@@ -157,7 +157,7 @@ BAD = {
     "--held": (["--held", "{motion}"], "--held and --payload"),
     "--payload": (["--held", "{motion}", "--payload", "elbow=2,0,0,0"], "--payload elbow"),
     "mass": (["--held", "{motion}", "--payload", "flange=-2,0,0,0"], "expected LINK=MASS"),
-    "--known": (["--known", "elbow"], "--known elbow: no link that moves; there are link1"),
+    "--known": (["--known", "elbow"], "--known elbow: no link that moves; accepted are link1"),
 }
 
 

@@ -5,7 +5,7 @@ import pytest
 from identification_data import moved
 
 from mbd_ros.features.identification.problem import Problem
-from mbd_ros.features.identification.regression import Search, learn
+from mbd_ros.features.identification.regression import DelaySearch, regress
 from mbd_ros.features.identification.samples import Filter, grid_step
 from mbd_ros.features.identification.task import Task
 from mbd_ros.scene.from_python import scene_from
@@ -23,12 +23,12 @@ def hits(trials):
     step = grid_step(rate, problem.band)
     low, random = Filter.of(rate / step, problem.band), np.random.default_rng(8)
     r, found = len(problem.base.chosen), []
-    true = problem.base.values(problem.given.ravel())
+    true = problem.base.values(problem.nominal.ravel())
     for _ in range(trials):
-        noise = low.passed(NOISE * random.normal(size=(len(t), 7))[::step])
+        noise = low.apply(NOISE * random.normal(size=(len(t), 7))[::step])
         noisy = block._replace(Y=block.Y + noise[: len(block.X), :, None])
-        about = (), Search(0.0, 0.0), problem.correlation
-        one = learn(lambda delays, rows=noisy: [rows], problem.columns, r, *about)
+        about = (), DelaySearch(0.0, 0.0), problem.correlation
+        one = regress(lambda delays, rows=noisy: [rows], problem.columns, r, *about)
         deviation = np.sqrt(np.diag(one.covariance))
         found.append(np.abs(one.fit.base - true) < 1.96 * deviation)
     return np.mean(found, axis=0)

@@ -43,7 +43,7 @@ def test_a_payload_is_found_at_any_rate(rate, noise, off):
     assert found.body[1:4] / found.body[0] == pytest.approx(HELD.lever, abs=0.2 * off)
     sigma = np.sqrt(found.covariance[0, 0])
     assert 1e-4 < sigma < 0.05
-    assert found.shown[:4].all()
+    assert found.is_determined[:4].all()
 
 
 def test_a_robot_at_rest_shows_no_inertia_and_says_so():
@@ -51,7 +51,7 @@ def test_a_robot_at_rest_shows_no_inertia_and_says_so():
     posture = np.tile([0.1, 0.7, 0.2, 1.0, 0.3, 0.5, 0.1], (len(t), 1))
     still = posture, 0.0 * posture, 0.0 * posture
     found = fed(estimator(scene), scene, t, still, 0.05)
-    assert not found.shown[4:].any()
+    assert not found.is_determined[4:].any()
     assert is_consistent(found.body)
     assert np.isfinite(found.covariance).all()
 

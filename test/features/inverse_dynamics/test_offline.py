@@ -230,7 +230,7 @@ def test_load_that_does_not_cover_the_motion_is_refused(tmp_path, motion_ends, m
 
 def test_numbers_whose_products_are_no_numbers_are_refused(tmp_path):
     with pytest.raises(
-        DataError, match=r"m\.csv: .* is 1e\+200 in row 1, accepted are sizes up to"
+        DataError, match=r"m\.csv: .* is 1e\+200 in row 1, but its size must be at most"
     ):
         run(
             SCENES / "prosthetic_leg.yaml",

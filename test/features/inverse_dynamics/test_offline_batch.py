@@ -97,7 +97,7 @@ def test_results_that_would_meet_or_replace_a_motion_are_refused(
     assert inverse(*motions, twin, "-o", tmp_path / "out") == 2
     assert "have the same name" in capsys.readouterr().err
     assert inverse(*motions, "-o", tmp_path / "in") == 2
-    assert "would take its place" in capsys.readouterr().err
+    assert "would overwrite it" in capsys.readouterr().err
     assert motions[0].read_bytes() == before
     assert inverse(*motions, "-o", motions[0]) == 2
     assert inverse(motions[0], "-o", tmp_path / "o.csv", "--workers", 2) == 2

@@ -128,7 +128,7 @@ def test_samples_that_lack_a_joint_now_and_then_are_left_out(leg):
     assert said == []
     position[:, 0] = np.where(np.arange(4) % 2, np.nan, 0.0)
     position[:, 1] = np.where(np.arange(4) % 2, 0.0, np.nan)
-    with pytest.raises(DataError, match="no sample has all of its joints"):
+    with pytest.raises(DataError, match="no sample has positions of all measured joints"):
         close_loops(scene, leg, Recording(motion, Counter()))
 
 
@@ -138,7 +138,7 @@ def test_joint_that_lacks_in_a_scene_without_loops_is_named():
     position = np.zeros((3, 2))
     position[:, 1] = np.nan
     motion = Motion(names, np.arange(3) * 1000, position, velocity=np.zeros((3, 2)))
-    with pytest.raises(DataError, match=f"no position of {names[1]}, and no loop gives it"):
+    with pytest.raises(DataError, match=f"no position of {names[1]}, and no loop determines it"):
         close_loops(scene, "m.parquet", Recording(motion, Counter()))
 
 
@@ -153,7 +153,7 @@ def test_fold_of_the_loop_is_reported(capsys, tmp_path, swing):
 @pytest.mark.parametrize(
     ("joints", "words"),
     [
-        (("hip_flexion", "knee_tibial"), "no position of ankle, and no loop gives it"),
+        (("hip_flexion", "knee_tibial"), "no position of ankle, and no loop determines it"),
         (("hip_flexion", "ankle"), "no position of knee_.*, knee_.*, knee_"),
         ((), "no position of any of hip_flexion, knee_anterior"),
     ],

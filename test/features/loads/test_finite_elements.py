@@ -153,7 +153,7 @@ def test_reactions_of_the_solved_steps_are_the_applied_loads(walk, tmp_path, cou
     write_body(body, steps, tmp_path / "pylon.inp", lambda text: None)
     forces, _ = solved(tmp_path / "pylon.inp", "L_ankle")
     assert len(forces) == 3
-    held, density = body.held, body.material.density
+    held, density = body.fixed, body.material.density
     for step, (force, moment) in zip(steps, forces, strict=True):
         spin = step.spin
 
@@ -193,11 +193,11 @@ def test_a_solid_that_nothing_holds(walk):
     (kind, cells), n = mesh.blocks[0], len(points)
     both = ((kind, np.vstack((cells, cells + n))),)
     inner = mesh._replace(points=np.vstack((points, 0.8 * points)), blocks=both)
-    with pytest.raises(DataError, match=f"{n} nodes, .* share no element with what knee holds"):
+    with pytest.raises(DataError, match=f"{n} nodes, .* are not connected to the support knee"):
         pylon(*walk, mesh=inner)
     top = np.concatenate((mesh.sets["top"], mesh.sets["top"] + n))
     body, _, _ = pylon(*walk, mesh=inner._replace(sets={**mesh.sets, "top": top}))
-    assert len(body.held.nodes) == 2 * len(mesh.sets["top"])
+    assert len(body.fixed.nodes) == 2 * len(mesh.sets["top"])
 
 
 @pytest.mark.parametrize(
@@ -414,7 +414,7 @@ def test_cells_of_nodes_that_are_not_there_are_named(tmp_path):
 
 def test_bad_input_of_the_command(rod, capsys):
     assert main(["loads", "rod.yaml", "still.csv", "--body", "rod", "-o", "a.inp"]) == 2
-    assert "--mesh is needed" in capsys.readouterr().err
+    assert "--mesh is missing" in capsys.readouterr().err
     words = ["loads", "rod.yaml", "still.csv", "--body", "rod", "-o", "a.inp", "--mesh", "box.inp"]
     assert main(words) == 2
     assert "--mesh goes with --young" in capsys.readouterr().err
@@ -443,7 +443,7 @@ def test_amplitudes(walk, tmp_path):
         gravity = nodal_forces(
             body.mesh.points, body.mesh.blocks, lambda r, row=row: density * field[row] + 0.0 * r
         )
-        held = gravity[body.held.nodes].sum(axis=0)
+        held = gravity[body.fixed.nodes].sum(axis=0)
         ankle = body.history.force[row, body.loaded[0].slot]
         expected = -ankle - gravity.sum(axis=0)
         assert forces[row - 1][0] - held == pytest.approx(expected, abs=1e-5 * np.abs(ankle).max())

@@ -12,7 +12,7 @@ import mbd_ros as mbd
 from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, MbdError, ModelError, SceneError
-from mbd_ros.features.loads.free_body import FreeBody, Named, balance
+from mbd_ros.features.loads.free_body import BodyWrench, FreeBody, balance
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.scene.schema.locate import embedded_scenes
 
@@ -53,7 +53,9 @@ def everywhere(scene, rng, most=20):
             q = pin.integrate(robot.model, robot.neutral(), rng.normal(size=robot.model.nv))
             v, a = rng.normal(size=(2, robot.model.nv))
             body.k.refresh(q, v)
-            acting = [Named("push", "force", Wrench(on, *rng.normal(size=(3, 3)))) for on in links]
+            acting = [
+                BodyWrench("push", "force", Wrench(on, *rng.normal(size=(3, 3)))) for on in links
+            ]
             yield body, *body.loads(State(0.0, q, v), a, acting)
 
 
@@ -231,16 +233,16 @@ def test_peaks_and_chosen_instants(walk):
     ("words", "error", "says"),
     [
         ({"body": "shin"}, SceneError, "no frame 'shin'; the links are"),
-        ({"body": "universe"}, SceneError, "no link 'universe'"),
+        ({"body": "universe"}, SceneError, "unknown link 'universe'"),
         ({"body": "knee_slider"}, SceneError, "body 'knee_slider' has no mass"),
         (
             {"body": "foot", "joints": ["knee"]},
             SceneError,
-            "none of this body; its joints",
+            "not one of this body, accepted",
         ),
-        ({"body": "foot", "at": [3.0]}, DataError, "--at 3: outside of the motion"),
+        ({"body": "foot", "at": [3.0]}, DataError, "--at 3: is outside of the motion"),
         ({"body": "foot", "units": "inch"}, DataError, "--units inch: accepted: m"),
-        ({"body": "foot", "time_range": (5.0, 6.0)}, DataError, "no sample is there"),
+        ({"body": "foot", "time_range": (5.0, 6.0)}, DataError, "contains no sample"),
     ],
 )
 def test_bad_input(walk, words, error, says):
@@ -298,6 +300,6 @@ def test_a_free_body_a_hundred_metres_away():
     q[:3] += [100.0, -70.0, 30.0]
     body.k.refresh(q, v)
     place = body.k.position(body._point)
-    push = [Named("push", "force", Wrench("foot", place, *rng.normal(size=(2, 3))))]
+    push = [BodyWrench("push", "force", Wrench("foot", place, *rng.normal(size=(2, 3))))]
     loads, motion = body.loads(State(0.0, q, v), a, push)
     assert balance(loads, body.inertia, motion).off <= 1e-12

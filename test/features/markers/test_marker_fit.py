@@ -147,7 +147,7 @@ def test_limits_are_kept_and_the_rest_is_best_beside_them():
 
 def test_limits_of_dependent_joints_hold_back_the_joint_that_they_follow():
     """q_d = 2 z - 0.5 within -1 .. 0.3 leaves -0.25 .. 0.4 to z."""
-    description = leg().robot.recipes[0].text
+    description = leg().robot.model_sources[0].text
     scene = leg(urdf=description)
     names = scene.couplings.independent
     parent, child = names[0], names[1]

@@ -123,11 +123,11 @@ def test_axes_that_are_none_are_refused(leg, swing, axes, match):
 
 def test_millimetres_are_asked_for_by_name(leg, swing):
     far = recorded(swing, scale=1e5)
-    with pytest.raises(DataError, match="looks like millimetres .6 markers.: say --unit mm"):
+    with pytest.raises(DataError, match="looks like millimetres .6 markers.; give --unit mm"):
         leg.kinematics(far)
     result = leg.kinematics(recorded(swing, scale=1e3), unit="mm", limits=False)
     assert_same_motion(result, swing)
-    with pytest.raises(DataError, match="are in m there, not in mm: leave the unit out"):
+    with pytest.raises(DataError, match="are in m according to the file, not in mm"):
         leg.kinematics(swing, unit="mm")
     with pytest.raises(DataError, match="unknown unit 'inch', accepted: m, mm, cm"):
         leg.kinematics(swing, unit="inch")
@@ -177,7 +177,7 @@ def test_frames_without_markers_are_left_out_and_named(leg, swing):
     for name in values:
         if name != "time":
             values[name][:] = np.nan
-    with pytest.raises(DataError, match="no frame has a marker of the model"):
+    with pytest.raises(DataError, match="no frame has a marker of the scene"):
         leg.kinematics(Result({"samples": Table(Column(n, v) for n, v in values.items())}))
 
 
@@ -256,10 +256,13 @@ def test_coordinates_that_a_recorded_motion_gives(leg, swing, tmp_path):
     ("text", "words"),
     [
         ("kinematics: {coordinates: {anckle: 1.0}}", "no joint 'anckle'"),
-        ("kinematics: {coordinates: {ankle: {weight: 1.0, from_motion: true}}}", "key 'motion'"),
+        (
+            "kinematics: {coordinates: {ankle: {weight: 1.0, from_motion: true}}}",
+            "motion: is missing",
+        ),
         ("kinematics: {weights: {toe: 1.0}}", "unknown key 'weights', accepted: markers"),
         ("kinematics: {markers: {toe: -1.0}}", "out of range"),
-        ("simulate: {duration: 1.0}", "no section 'kinematics'"),
+        ("simulate: {duration: 1.0}", "has no section 'kinematics'"),
     ],
 )
 def test_bad_task_files(leg, swing, tmp_path, text, words):

@@ -153,12 +153,12 @@ def test_command_writes_a_scene_or_nothing(leg, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{segments: {}}", "names no link"),
-        ("{segments: {shank: {}}}", "expected pairs, or a factor"),
+        ("{segments: {}}", "segments: is empty"),
+        ("{segments: {shank: {}}}", "expected either pairs or a factor"),
         ("{segments: {shank: {factor: 1.0, axes: w}}}", "accepted: some of x, y and z"),
         ("{segments: {shank: {factor: -1.0}}}", "out of range"),
         ("{segments: {shank: {pairs: [[heel]]}}}", "expected 2"),
-        ("{segments: {shank: {factor: 1.0}}, name: a b}", "is no word"),
+        ("{segments: {shank: {factor: 1.0}}, name: a b}", "accepted are letters, digits and _"),
     ],
 )
 def test_bad_tasks(leg, tmp_path, text, words):
@@ -173,7 +173,7 @@ def test_bad_measurements(leg):
     pairs = {"foot": (Measurement(pairs=[["heel", "toe"]]),)}
     with pytest.raises(DataError, match="no frame 'shnk'"):
         scaled(leg, static(found), ScaleTask(whole("shnk", 1.0)))
-    with pytest.raises(DataError, match="foot would be scaled by .*is the unit right"):
+    with pytest.raises(DataError, match="foot would be scaled by .*check the unit"):
         scaled(leg, static({n: 10.0 * p for n, p in found.items()}), ScaleTask(pairs))
     unseen = {**found, "toe": np.full(3, np.nan)}
     with pytest.raises(DataError, match="heel and toe are never seen together"):

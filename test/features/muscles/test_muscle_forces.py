@@ -138,7 +138,7 @@ def test_loads_of_joints_by_muscle_add_up(arm):
         total = table[f"lower.load.force_{axis}"]
         assert total == pytest.approx(parts + bare[f"lower.load.force_{axis}"], abs=1e-6)
     assert table.column("lower.load.moment_y").unit == "N·m"
-    with pytest.raises(SceneError, match="no joint carries link 'trunk'; joints carry upper"):
+    with pytest.raises(SceneError, match="no joint carries link 'trunk'; accepted: upper"):
         arm.muscle_forces(motion(), reactions="child", links=["trunk"])
 
 
@@ -195,7 +195,7 @@ def test_measured_activations_are_least(arm, tmp_path):
 @pytest.mark.parametrize(
     ("column", "times", "match"),
     [
-        ("biceps.activation", [0.0, 1.0], "no column of a muscle, accepted: front.activation"),
+        ("biceps.activation", [0.0, 1.0], "has no column of a muscle, accepted: front.activation"),
         ("flexor.activation", [0.3, 1.0], "do not cover the motion at 0 to 1 s"),
         ("flexor.activation", [0.0, 1.0, 2.0], "flexor.activation at 2 s is 2, accepted: 0 .. 1"),
     ],
@@ -217,7 +217,10 @@ def test_bad_measurements_are_refused(arm, tmp_path, column, times, match):
         ({"reserves": -1.0}, "reserves"),
         ({"reserves": "none.xml"}, "none.xml"),
         ({"residuals": [{"name": "F", "frame": "hand", "force": [1, 0, 0]}]}, "no frame 'hand'"),
-        ({"residuals": [{"name": "front", "frame": "upper", "force": [1, 0, 0]}]}, "is taken"),
+        (
+            {"residuals": [{"name": "front", "frame": "upper", "force": [1, 0, 0]}]},
+            "has the name of a muscle",
+        ),
         ({"links": ["lower"]}, "reactions: is missing"),
         ({"speed": 1.0}, "unknown key 'speed'"),
     ],

@@ -8,7 +8,6 @@ import mbd_ros as mbd
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import MbdError
 from mbd_ros.features.muscles.muscle_trial import (
-    DEFAULTS,
     Excited,
     MuscleDynamics,
     Trial,
@@ -16,6 +15,8 @@ from mbd_ros.features.muscles.muscle_trial import (
 )
 from mbd_ros.features.muscles.trial import Points
 from mbd_ros.optimal_control.mesh import RADAU, collocation
+
+MESH = (0.02, 4, 1.0e-3)  # interval [s], degree, tolerance
 
 pytest.importorskip("casadi", reason="casadi is optional (extra: compiled)")
 
@@ -58,7 +59,7 @@ def test_forces_balance_what_the_motion_needs(swing, excited):
 
 
 def test_fibres_move_as_their_balance_with_the_tendon_says(swing, excited):
-    muscles = muscles_with(MuscleDynamics("tendon", *DEFAULTS), swing[0].muscles)
+    muscles = muscles_with(MuscleDynamics("tendon", *MESH), swing[0].muscles)
     elastic = [muscle for muscle in muscles if muscle.is_elastic]
     assert elastic
     for muscle in elastic:
@@ -86,7 +87,7 @@ def test_a_finer_mesh_changes_little(swing):
 
 def known_trial(muscles, points):
     """Muscles at alternate sides of one joint, with one reserve."""
-    t, ones = points.whole, np.ones((len(points.whole), len(muscles)))
+    t, ones = points.times_with_start, np.ones((len(points.times_with_start), len(muscles)))
     laws = [muscle.contraction for muscle in muscles]
     moved = 1.0 + 0.04 * np.sin(6.0 * t[:, None] + np.arange(len(muscles)))
     length = np.array([law.slack for law in laws]) + moved * [law.optimal for law in laws]
@@ -105,12 +106,12 @@ def test_a_part_beside_a_known_rest_is_solved_as_the_whole_is(swing, kind):
     """Slopes of the cost beyond a part leave it at the optimum of the whole."""
     from mbd_ros.features.muscles.trial_program import MuscleProgram, Part
 
-    muscles = muscles_with(MuscleDynamics(kind, *DEFAULTS), swing[0].muscles)
+    muscles = muscles_with(MuscleDynamics(kind, *MESH), swing[0].muscles)
     points = Points(np.linspace(0.0, 0.4, 21), collocation(RADAU, 3))
     trial = known_trial(muscles, points)
     elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
     fibers = np.array([muscles[i].contraction.optimal for i in elastic])
-    ones = np.ones((len(points.whole), 1))
+    ones = np.ones((len(points.times_with_start), 1))
     a, effort, lengths = 0.1 * ones * np.ones(len(muscles)), 0.0 * ones, ones * fibers
     guess = Excited(a, a, effort, lengths, 0.0 * lengths)
     given = muscles, trial, points.scheme, 2.0
@@ -153,7 +154,7 @@ def test_a_cost_with_a_kink_has_an_optimum(swing):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"interval": 0.01}, "muscles.dynamics: is missing, interval says more of it"),
+        ({"interval": 0.01}, "muscles.dynamics: is missing; interval needs it"),
         ({"dynamics": "activation", "passive": True}, "for frames one by one"),
         ({"dynamics": "all"}, "expected one of activation, tendon"),
     ],
@@ -167,5 +168,5 @@ def test_what_cannot_be_is_named(swing, options, said):
 def test_a_motion_that_muscles_cannot_produce_names_what_lacks(swing):
     leg, motion = swing
     weak = leg.with_({f"{part.name}.max_isometric_force": 1.0 for part in leg.muscles})
-    with pytest.raises(MbdError, match=r"lacks most: \w+ at 0\.\d+ s .*; give reserves"):
+    with pytest.raises(MbdError, match=r"residual forces: \w+ at 0\.\d+ s .*; add reserves"):
         weak.muscle_forces(motion, dynamics="activation", interval=0.1)

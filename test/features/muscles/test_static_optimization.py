@@ -13,12 +13,12 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.features.muscles.static_optimization import (
     Criterion,
+    SharingOptions,
     StaticOptimization,
-    Wishes,
     shortening_rate,
 )
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
-from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, reserve_on
+from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, joint_reserve
 
 PLATES = {
     name: {"frame": f"calcn_{name[0]}", "expressed_in": "world"} for name in ("right", "left")
@@ -63,18 +63,18 @@ class Walk:
             BodyReserve(robot, name="FX", force=[1, 0, 0], optimal_force=optimal, **on),
             BodyReserve(robot, name="FY", force=[0, 1, 0], optimal_force=up, **on),
             BodyReserve(robot, name="MZ", torque=[0, 0, 1], optimal_force=optimal, frame="pelvis"),
-            *(reserve_on(robot, self.couplings, name, optimal) for name in joints),
+            *(joint_reserve(robot, self.couplings, name, optimal) for name in joints),
         ]
 
-    def solver(self, reserves, **wishes):
+    def solver(self, reserves, **sharing):
         known = self.scene.without(["muscles"]).inverse_dynamics()
         robot, muscles = self.scene.robot, self.scene.muscles
-        return StaticOptimization(robot, known, muscles, reserves, Wishes(**wishes))
+        return StaticOptimization(robot, known, muscles, reserves, SharingOptions(**sharing))
 
-    def solve(self, reserves, some=slice(None), measured=None, **wishes):
+    def solve(self, reserves, some=slice(None), measured=None, **sharing):
         motion = [values[some] for values in self.motion]
         loads = [wrench[some] for wrench in self.wrenches]
-        solver = self.solver(reserves, **wishes)
+        solver = self.solver(reserves, **sharing)
         return solver.solve(self.times[some], *motion, loads, measured)
 
 
@@ -112,7 +112,7 @@ def test_activations_of_an_arm_without_wraps_are_the_exact_optimum(reserves):
     scene = scene.with_(paths=plain)
     robot, couplings, muscles = scene.robot, scene.couplings, scene.muscles
     joints = couplings.independent if reserves else ()
-    help_ = [reserve_on(robot, couplings, joint, 1.0) for joint in joints]
+    help_ = [joint_reserve(robot, couplings, joint, 1.0) for joint in joints]
     motion = table(folder / "motion.csv.gz")
     kinds = ("position", "velocity", "acceleration")
     rows = [Walk.columns(motion, couplings.independent, kind) for kind in kinds]
@@ -246,7 +246,7 @@ def test_loads_of_joints_are_those_of_opensim(walk, side):
         couplings.expand(q, v, a)
         wrenches = [wrench[t] for wrench in walk.wrenches]
         total, parts = loads.solve(State(0.0, q, v), a, tension[t], reserve[t], wrenches)
-        for row, one in enumerate(loads.joined):
+        for row, one in enumerate(loads.joint_links):
             name = f"{joints[one.link[:-2]]}{one.link[-2:]}"
             where = one.parent_link if side == "parent" else one.link
             axes = "ground" if side == "ground" else where
@@ -279,8 +279,8 @@ def test_metabolic_rate_at_rest_and_at_the_largest_speed():
 def test_what_cannot_be_asked_is_refused(walk):
     robot, couplings = walk.scene.robot, walk.couplings
     with pytest.raises(ModelError, match="knee_r_tx: the joint depends on knee_angle_r"):
-        reserve_on(robot, couplings, "knee_r_tx", 1.0)
-    with pytest.raises(ModelError, match="neither a force nor a torque"):
+        joint_reserve(robot, couplings, "knee_r_tx", 1.0)
+    with pytest.raises(ModelError, match="force and torque are both zero"):
         BodyReserve(robot, name="F", frame="pelvis")
     with pytest.raises(ModelError, match="accepted: world, pelvis"):
         BodyReserve(robot, name="F", frame="pelvis", force=[1, 0, 0], expressed_in="tibia_r")

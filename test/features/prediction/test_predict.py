@@ -220,7 +220,7 @@ def test_a_motion_is_written_and_read_again(tmp_path, capsys):
     )
     out = tmp_path / "motion.npz"
     assert main(["predict", "prosthetic_arm", str(task), "-o", str(out)]) == OK
-    assert "integrated again" in capsys.readouterr().out
+    assert "simulated again" in capsys.readouterr().out
     result = read_result(out)
     assert result.metadata["converged"] is True
     assert result["samples"]["shoulder_flexion.position"][-1] == pytest.approx(0.8, abs=1e-9)
@@ -244,12 +244,15 @@ CONTRADICTORY = {
     "bounds of which nothing is left": ({"bounds": {"slide.position": [2.0, -2.0]}}, "slide"),
     "an end without a value": ({"end": {"slide.effort": 1.0}}, "slide.effort"),
     "an unknown quantity": ({"end": {"slid.position": 1.0}}, "slide.position"),
-    "a time of nothing": ({"duration": 0.0}, "duration: a phase that lasts no time"),
+    "a time of nothing": ({"duration": 0.0}, "duration: a duration must be above 0 s"),
     "no goal": ({"goals": []}, "goals"),
     "a joint that does not travel": ({"periodic": True, "travel": ["slid"]}, "no joint 'slid'"),
-    "a function without a value": ({"goals": [lambda q: None]}, "function gives None"),
+    "a function without a value": ({"goals": [lambda q: None]}, "it returns None"),
     "a mass as an unknown": ({"parameters": {"cart.mass": [0.5, 2.0]}}, "(continuation)"),
-    "durations beside one of all": ({"phases": [{"duration": 1.0}]}, "predict.duration: phases"),
+    "durations beside one of all": (
+        {"phases": [{"duration": 1.0}]},
+        "predict.duration: give the duration",
+    ),
 }
 
 

@@ -160,7 +160,7 @@ def test_contacts_that_hold_the_same_are_named():
     two = [dict(sole) | {"name": name} for name in ("heel", "toe")]
     phases = {"stance": HOLDS["stance"] | {"contacts": ["heel", "toe"]}}
     task = {"duration": 1.0, "end": {"slide.position": 0.1}, "goals": EFFORT}
-    with pytest.raises(SceneError, match="heel hold the same.*accepted: one contact with several"):
+    with pytest.raises(SceneError, match="heel constrain the same motion.*use one contact"):
         scene.with_(contacts=two, phases=phases).predict(task)
 
 

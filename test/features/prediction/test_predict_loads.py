@@ -9,7 +9,7 @@ import mbd_ros as mbd
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.prediction.modes import modes_of
+from mbd_ros.features.prediction.modes import build_phase_modes
 from mbd_ros.features.prediction.task import predict_task
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
 from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
@@ -60,7 +60,7 @@ def sensed(scene):
 def phase_of(scene):
     """The first phase of a scene, its system and its mode."""
     task = predict_task({"duration": 1.0, "goals": [{"type": "effort"}]}, "predict")
-    _, system, mode, _ = modes_of(scene, task)[0]
+    _, system, mode, _ = build_phase_modes(scene, task)[0]
     return PhaseEquations(traced(scene, system, (), mode).equations), system, mode
 
 
@@ -75,7 +75,7 @@ def test_loads_and_sensors_are_those_of_newton_and_euler(name):
     symbols = [phase.symbols[key] for key in ("t", *LETTERS)]
     results = [ca.densify(ca.vertcat(*(one.value for one in part))) for part in every]
     asked, lifted = ca.Function("asked", symbols, results), _lifting(phase)
-    rows = ConstraintRows(system.held.constraints.blocks, robot.model.nv)
+    rows = ConstraintRows(system.bilateral.constraints.blocks, robot.model.nv)
     reactions = JointReactions(robot, rows, (), system.loads.forces)
     start = system.reduce(scene.initial)
     for _ in range(3):
@@ -104,8 +104,8 @@ def _loads(scene, system, reactions, x, a, lam, u):
     """Of all links in their own axes."""
     loads = JointLoads(scene.robot, reactions, list(scene.muscles))
     if not scene.muscles:
-        felt = reactions.solve(x, a, lam, (), u).local[[one.row for one in loads.joined]]
-        places = [scene.robot.places.points[one.child.number].at for one in loads.joined]
+        felt = reactions.solve(x, a, lam, (), u).local[[one.row for one in loads.joint_links]]
+        places = [scene.robot.places.points[one.child.number].at for one in loads.joint_links]
         turns = np.array([place.rotation for place in places])
         return (felt.reshape(-1, 2, 3) @ turns).reshape(-1, 6)
     tension = np.array([_tension(one, system.k, x, u) for one in scene.muscles])
@@ -186,5 +186,5 @@ def test_what_has_no_load_is_named():
     task = {"duration": 0.2, "goals": [EFFORT, {"type": "final", "of": TRACTION}]}
     with pytest.raises(MbdError, match=r"hamstrings.*polynomial of joints, so nobody knows where"):
         scene.predict(task)
-    with pytest.raises(MbdError, match=f"smoothness of {TRACTION}, which depends on forces"):
+    with pytest.raises(MbdError, match=f"smoothness: {TRACTION} depends on forces"):
         swing({"type": "smoothness", "of": TRACTION})

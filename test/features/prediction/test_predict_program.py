@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from prediction_scenes import biped, cart_pole, four_bar, hanging_muscle
 
-from mbd_ros.features.prediction.problem import problem_of
+from mbd_ros.features.prediction.problem import build_problem
 from mbd_ros.features.prediction.task import predict_task
 from mbd_ros.optimal_control.ipopt import solve
 from mbd_ros.optimal_control.motion_program import MotionProgram
@@ -16,9 +16,9 @@ STEP = 1.0e-4  # of unknowns in their usual sizes
 
 def program_of(scene, task):
     """The program of a task on its first mesh, and bounds of its unknowns."""
-    problem = problem_of(scene, predict_task(task, "predict"))
+    problem = build_problem(scene, predict_task(task, "predict"))
     motion: MotionProgram = problem.program
-    program, guess, *_ = motion.assembled(problem.guesses, problem.parameters, 1.0)
+    program, guess, *_ = motion.assemble(problem.guesses, problem.parameters, 1.0)
     return program, guess
 
 

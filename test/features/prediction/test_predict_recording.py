@@ -156,8 +156,8 @@ def test_what_parts_show_and_inputs_are_tracked(tmp_path):
 @pytest.mark.parametrize(
     ("recording", "said"),
     [
-        ({"times": [0.5, 2.0]}, "0.5 .. 2 s, the motion"),
-        ({"external": "a.xml", "wrenches": "b.csv"}, "accepted: one of them"),
+        ({"times": [0.5, 2.0]}, "0.5 .. 2 s is outside of the motion"),
+        ({"external": "a.xml", "wrenches": "b.csv"}, "give one of them"),
         ({"cutoff": -1.0}, "cutoff"),
         ({"speed": 1.0}, "unknown key 'speed'"),
     ],

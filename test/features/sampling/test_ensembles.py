@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.features.sampling.chains import usual_step
+from mbd_ros.features.sampling.chains import default_step
 from mbd_ros.features.sampling.ensemble import (
     Ensemble,
     Manifold,
@@ -115,7 +115,7 @@ def test_velocities_of_shake_are_too_warm_by_the_forces_of_the_bonds():
     system = scene.system()
     ensemble = Ensemble(ParticleSpace(system.kinds), 1.0)
     q = np.repeat(scene.initial.q[:, None], 400, axis=1)
-    at = ensemble.at(q, ensemble.drawn(stream(1, 0, 0), ensemble.manifold.at(q), 400))
+    at = ensemble.at(q, ensemble.draw_velocities(stream(1, 0, 0), ensemble.manifold.at(q), 400))
     rattle, shake = kinetic_after_step(ensemble, at, h)
     after, _ = ensemble.step(at, h)
     expected = []
@@ -130,7 +130,7 @@ def test_central_differences_are_warm_in_fourth_order_only():
     scene = mbd.load_scene("particles/trimer")
     ensemble = Ensemble(ParticleSpace(scene.system().kinds), 1.0)
     q = np.repeat(scene.initial.q[:, None], 200, axis=1)
-    start = ensemble.at(q, ensemble.drawn(stream(2, 0, 0), ensemble.manifold.at(q), 200))
+    start = ensemble.at(q, ensemble.draw_velocities(stream(2, 0, 0), ensemble.manifold.at(q), 200))
 
     def excess(h):
         ahead, _ = ensemble.step(start, h)
@@ -215,7 +215,7 @@ def walked(scene, kT, ds=0.02):
 
 def test_steps_are_chosen_by_the_scale_of_the_scene():
     kinds = mbd.load_scene("particles/trimer").system().kinds
-    warm, hot = (usual_step(Ensemble(ParticleSpace(kinds), kT)) for kT in (1.0, 4.0))
+    warm, hot = (default_step(Ensemble(ParticleSpace(kinds), kT)) for kT in (1.0, 4.0))
     assert warm == pytest.approx(2.0 * hot)
 
 

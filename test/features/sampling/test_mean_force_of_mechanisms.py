@@ -84,8 +84,8 @@ def test_a_joint_of_an_arm_beside_a_quadrature_over_the_other():
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("heat_bath", "--coordinate", "crank", "--at", 9.0), "cannot be brought"),
-        (("heat_bath", "--coordinate", "knee", "--at", 1.0), "no quantity, the nearest"),
+        (("heat_bath", "--coordinate", "crank", "--at", 9.0), "cannot move"),
+        (("heat_bath", "--coordinate", "knee", "--at", 1.0), "not a quantity, the nearest"),
         (("controlled_leg", "--coordinate", "ankle", "--at", 0.1), "a scene without"),
     ],
 )

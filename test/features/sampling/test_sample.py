@@ -41,7 +41,10 @@ def test_a_checkpoint_goes_on_with_the_same_bits(method, tmp_path):
 @pytest.mark.parametrize(
     ("scene", "said"),
     [
-        ("particles/ring_of_two_branches", "components: 2 that no motion along the rows joins"),
+        (
+            "particles/ring_of_two_branches",
+            "components: 2 that no motion along the constraints joins",
+        ),
         ("particles/ring_of_one_branch", "components: 1, from"),
         pytest.param("four_bar_leg", "components: 2", marks=pytest.mark.soak),
     ],
@@ -96,7 +99,7 @@ def test_a_row_as_coordinate_is_swept(capsys):
     assert said.count("mean force") == 2
     code, _, error = run(capsys, *words, "--coordinate", "quadratic P 1 0.25 0", "--at", 0.5)
     assert code == 2
-    assert "hold quadratic_P already" in error
+    assert "of the scene fix quadratic_P" in error
 
 
 @pytest.mark.parametrize(
@@ -109,7 +112,7 @@ def test_a_row_as_coordinate_is_swept(capsys):
         ((TRIMER, "--temperature", 1, "--chains", 1), "sample.chains: 1 is out of range"),
         ((TRIMER, "--temperature", 1, "--friction", 1), "metropolis has none"),
         ((TRIMER, "--temperature", 1, "--observe", "distance A Z"), "no particle 'Z'"),
-        ((TRIMER, "--temperature", 1, "--observe", "bend A B"), "'bend A B' is no quantity"),
+        ((TRIMER, "--temperature", 1, "--observe", "bend A B"), "'bend A B' is not a quantity"),
         ((TRIMER, "--temperature", 1, "--coordinate", "distance A C"), "coordinate and at go"),
         ((TRIMER, "--temperature", 1, "--samples", 7), "sample.samples: 7 is out of range"),
         (
@@ -118,7 +121,7 @@ def test_a_row_as_coordinate_is_swept(capsys):
         ),
         (
             (TRIMER, "--temperature", 1, "--coordinate", "distance A C", "--at", 3),
-            "cannot be brought",
+            "cannot move",
         ),
         ((TRIMER, "--temperature", 1, "--continue", "none.npz"), "none.npz: cannot be read"),
         (("four_bar_leg", "--thermal-energy", 1, "--method", "langevin"), "constant masses"),
@@ -147,7 +150,7 @@ def test_bad_input_is_one_clear_error(words, expected, capsys):
         ({"dt0": np.array("x")}, "dt0 has shape () of <U1"),
         ({"dt0": np.float64(0.0)}, "and dt0 is 0.0, accepted: above 0"),
         ({"dt1": None}, "has no block 2 of 2"),
-        ({"q2": np.ones(3)}, "is of a run with more chains"),
+        ({"q2": np.ones(3)}, "belongs to a run with more chains"),
     ],
 )
 def test_a_checkpoint_whose_arrays_are_others_is_refused(changes, message, tmp_path):

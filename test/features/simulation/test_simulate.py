@@ -209,11 +209,11 @@ def test_divergence_is_kept_beside_a_folder_with_a_point_in_its_name(tmp_path):
         (("-t", 1, "--dt", 1e300), "--dt: 1e+300 s, accepted: 1e-09 .. 9e+09 s"),
         (("-t", 1e-15), "-t: 1e-15 s, accepted: 1e-09 .. 9e+09 s"),
         (("-t", 1e300), "-t: 1e+300 s, accepted: 1e-09 .. 9e+09 s"),
-        (("-t", 8e9, "--start", 8e9), "--start: 8e+09 s must be finite, the simulation within"),
+        (("-t", 8e9, "--start", 8e9), "--start: 8e+09 s must be finite, and the end within"),
         (("-t", 1e5), "SCENE: dt: 0.001 s: 1e+08 rows in -t 100000 s, accepted are 1e+07"),
         (("-t", 1, "--start", "nan"), "--start: nan s must be finite"),
         (("-t", 1, "--start", "inf"), "--start: inf s must be finite"),
-        (("-t", 1, "--start", 1e17), "--start: 1e+17 s must be finite, the simulation within"),
+        (("-t", 1, "--start", 1e17), "--start: 1e+17 s must be finite, and the end within"),
         (("-t", 1, "--start", 8e9, "--dt", 1e-7), "--dt: 1e-07 s is lost in rounding"),
         (("-t", 1, "--wrenches", "no.csv"), "no.csv: SCENE has no external_wrenches to take it"),
         (("-t", 1, "--tolerance", 1), "--tolerance: tolerance 1 is outside 1e-13 .. 0.1"),
@@ -298,7 +298,7 @@ def test_the_shortest_step_is_for_tables_and_later_starts(capsys, tmp_path):
     assert len(read_motion(tmp_path / "o.csv", ["hinge"]).motion.stamps) == 11
     code, _, err = called(capsys, *words, tmp_path / "bag")
     assert code == 2
-    assert "--dt: 1e-09 s: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s" in err
+    assert "--dt: 1e-09 s: must be >= 2e-09 s, the stamps of a bag start with 1 ns" in err
     code, _, err = called(capsys, *words, tmp_path / "bag", "--start", -1)
     assert code == 2
     assert "--start: -1 s: the stamps of a bag are >= 0" in err
@@ -377,7 +377,7 @@ def test_a_state_without_velocities_starts_from_rest_and_says_so(capsys, tmp_pat
     words = ["-t", 0.01, "-o", tmp_path / "o.csv", "--from", start]
     code, said, _ = called(capsys, "simulate", scene, *words)
     assert code == 0
-    assert said.startswith(f"{start}: no velocity of {', '.join(free[1:])}: at rest there\n")
+    assert said.startswith(f"{start}: no velocity of {', '.join(free[1:])}: they start at rest\n")
     found = columns(tmp_path / "o.csv")
     assert found[f"{free[0]}.velocity"][0] == pytest.approx(2.0)
     assert [found[f"{joint}.velocity"][0] for joint in free[1:]] == [0.0] * (len(free) - 1)
@@ -391,7 +391,7 @@ def test_joints_without_an_effort_are_named(capsys, tmp_path):
     words = ["-t", 0.01, "-o", tmp_path / "o.csv", "--efforts", efforts]
     code, said, _ = called(capsys, "simulate", scene, *words)
     assert code == 0
-    assert said.startswith(f"{efforts}: no effort of {', '.join(names[1:])}: 0 there\n")
+    assert said.startswith(f"{efforts}: no effort of {', '.join(names[1:])}: it is 0\n")
 
 
 def test_commands_of_some_actuators_only_are_refused_with_the_file(capsys, tmp_path, driven):

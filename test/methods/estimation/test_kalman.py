@@ -11,7 +11,7 @@ import qpsolvers
 from mbd_ros.core.optimization.hard_soft_qp import RowBoundedQp
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.estimation.faults import InnovationWatch
-from mbd_ros.methods.estimation.kalman_filter import Filtered, smoothed
+from mbd_ros.methods.estimation.kalman_filter import FilterSample, smooth
 from mbd_ros.methods.estimation.process import LinearProcess, Measurement
 from mbd_ros.parts.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.parts.estimators.kalman import Kalman
@@ -163,11 +163,11 @@ def test_the_smoother_is_the_optimum_over_all_measurements():
         if k:
             estimator.predict(None, float(k))
         belief = estimator.correct(Measurement(float(k), np.array([y])))
-        F = None if estimator.going is None else estimator.going.F
-        samples.append(Filtered(F, estimator.predicted, belief))
+        F = None if estimator.transition is None else estimator.transition.F
+        samples.append(FilterSample(F, estimator.predicted, belief))
     horizon = MovingHorizon(process(), samples=0)
     predictions(horizon)
-    found = smoothed(process(), samples)
+    found = smooth(process(), samples)
     np.testing.assert_allclose([b.x for b in found], horizon.window(), rtol=0, atol=1e-10)
     assert np.linalg.eigvalsh(samples[0].belief.P - found[0].P)[0] > -1e-12
 
@@ -211,5 +211,5 @@ def test_matrices_that_do_not_fit_are_named(given, said):
 def test_a_prior_that_is_no_covariance_is_refused():
     with pytest.raises(ModelError, match="P has shape"):
         Kalman(process()).begin(np.zeros(2), np.eye(3))
-    with pytest.raises(ModelError, match="bounds of disturbances"):
+    with pytest.raises(ModelError, match="lower and upper must be one number or"):
         MovingHorizon(process(), lower=(0.0, 1.0, 2.0))

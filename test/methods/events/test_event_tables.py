@@ -110,7 +110,10 @@ def test_simulate_writes_the_events(capsys, file, tmp_path, suffix):
 
 @pytest.mark.parametrize(
     ("events", "reason"),
-    [("out.csv", "--events .*out.csv: is -o"), ("no/events.csv", "directory .*no does not exist")],
+    [
+        ("out.csv", "--events .*out.csv: is the file of -o"),
+        ("no/events.csv", "directory .*no does not exist"),
+    ],
 )
 def test_places_of_events_that_cannot_be(capsys, file, tmp_path, events, reason):
     out = tmp_path / "out.csv"
@@ -124,7 +127,7 @@ def test_events_of_a_scene_that_has_none_are_refused(capsys, tmp_path):
     out, events = tmp_path / "out.csv", tmp_path / "events.csv"
     words = ["simulate", "arm7", "-t", "0.1", "-o", str(out), "--events", str(events)]
     assert main(words) != 0
-    assert "--events: nothing in " in capsys.readouterr().err
+    assert " has no events, such as impacts" in capsys.readouterr().err
     assert not out.exists() and not events.exists()
 
 

@@ -345,8 +345,8 @@ def test_bounded_rows_beside_it_are_refused(scene):
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ({"velocity": {}}, "a surface needs velocity or position"),
-        ({"above": {"x": 1.0}, "below": {"x": 1.0}}, "nothing switches"),
+        ({"velocity": {}}, "velocity and position are missing"),
+        ({"above": {"x": 1.0}, "below": {"x": 1.0}}, "so no force switches"),
         ({"above": {"x": math.nan}}, r"here.above.x: nan is out of range"),
         ({"velocity": {"z": [0.0, 1.0]}}, "no joint 'z'"),
     ],

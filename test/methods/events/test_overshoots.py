@@ -34,7 +34,7 @@ def test_a_stop_that_is_passed_is_named_with_joint_time_and_size(method):
     simulation = scene.simulation()
     states = list(simulation.run(scene.initial, 0.2))
     beyond = [x.q[0] - 3.0 for x in states]
-    (found,) = simulation.overshoots.found()
+    (found,) = simulation.overshoots.reportable()
     assert found.joint.name == "hinge" and found.end == 3.0 and max(beyond) > 1.0
     assert found.size == pytest.approx(max(beyond), rel=0.01)
     assert found.t == pytest.approx(states[int(np.argmax(beyond))].t, abs=2e-3)
@@ -57,7 +57,7 @@ def test_what_adaptive_steps_pass_between_two_outputs_is_seen():
     simulation = scene.simulation()
     states = list(simulation.run(scene.initial, 0.5))
     assert [x.q[0] < 3.0 + 1e-3 for x in states] == [True, True]
-    assert simulation.overshoots.found()[0].size == pytest.approx(1.68, abs=0.02)
+    assert simulation.overshoots.reportable()[0].size == pytest.approx(1.68, abs=0.02)
 
 
 def test_a_start_beyond_the_end_is_no_overshoot_but_going_further_is():

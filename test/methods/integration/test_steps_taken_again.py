@@ -97,7 +97,7 @@ def test_other_accelerations_count_from_the_next_step_on(method, base):
         def derivatives(self, x, u, inputs):
             from mbd_ros.core.dynamics.linearization import Linearization
 
-            return Linearization(self, accelerate).derivatives(x, u, inputs=inputs)
+            return Linearization(self).derivatives(accelerate, x, u, inputs=inputs)
 
     stepper.follow(accelerate, (1, 0))
     step = stepper.step(after, None, after.t + 1e-4)

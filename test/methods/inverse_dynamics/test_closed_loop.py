@@ -71,9 +71,9 @@ def closed_bars(actuated, crank=0.9, rate=2.0, lengths=(1.0, 2.0, 1.5, 2.0), ext
     robot, closure = bars(lengths)
     inverse = inverse_of(robot, Couplings(robot), [closure, *extra], actuated)
     guess = State(0.0, np.array([crank, -0.9, 1.4]), np.zeros(3))
-    q = inverse.motion.start(guess)
+    q = inverse.motion.assemble(guess)
     only = np.array([True, False, False])
-    x, a, _ = inverse.motion.complete(q, State(0.0, q, np.full(3, rate)), np.full(3, 5.0), only)
+    x, a, _ = inverse.motion.close_loops(q, State(0.0, q, np.full(3, rate)), np.full(3, 5.0), only)
     return inverse, x, a
 
 
@@ -161,14 +161,14 @@ def test_motion_that_nothing_drives_is_refused_with_its_joint():
     with pytest.raises(SolveError, match=r"\(none\) cannot .* along .*knee_anterior"):
         solver(built).solve(x, a)
     hanging = closed_bars(())[0]
-    rest = hanging.motion.start(State(0.0, np.array([0.9, -0.9, 1.4]), np.zeros(3)))
+    rest = hanging.motion.assemble(State(0.0, np.array([0.9, -0.9, 1.4]), np.zeros(3)))
     with pytest.raises(SolveError, match="along .*crank"):
         hanging.solve(State(0.0, rest, np.zeros(3)), np.zeros(3))
 
 
 def test_reach_says_what_the_actuators_cannot_move():
     built = scene("four_bar_leg")
-    x = State(0.0, solver(built).motion.start(built.initial), built.initial.v)
+    x = State(0.0, solver(built).motion.assemble(built.initial), built.initial.v)
     reach = solver(built, "knee_tibial").reach(x)
     assert (reach.freedom, reach.driven, reach.null_space) == (3, 1, 0)
     assert set(reach.undriven) == {"hip_flexion", "ankle"}
@@ -221,7 +221,7 @@ def test_power_of_efforts_loads_and_forces_is_the_rise_of_the_energy():
     model, data, h = robot.model, robot.model.createData(), 1e-4
     at = [robot.joint(name).v for name in joints]
     for x, a, _ in list(simulated(built, 0.4))[::20]:
-        x, a = inverse.consistent(x._replace(v=3.0 * x.v), a + rng.normal(size=5))
+        x, a = inverse.project_motion(x._replace(v=3.0 * x.v), a + rng.normal(size=5))
         wrench = rng.normal(size=6) * 50.0
         tau = inverse.solve(x, a, [wrench]).tau
 
@@ -254,7 +254,7 @@ def test_multiplier_of_a_drive_is_its_effort():
     assert inverse.constraints.rows[2].name == "prescribed_motion.torque"
     assert found.multipliers == pytest.approx([*expected.multipliers, *expected.tau], rel=1e-9)
     assert found.null_space == 0
-    start = State(0.0, inverse.motion.start(x._replace(q=np.array([0.9, -0.9, 1.4]))), x.v)
+    start = State(0.0, inverse.motion.assemble(x._replace(q=np.array([0.9, -0.9, 1.4]))), x.v)
     moving, _ = closed_bars(("crank",), rate=1.2)[1:]
     solution = system.evaluate(State(0.0, start.q, moving.v))
     found = inverse.solve(State(0.0, start.q, moving.v), solution.a)
@@ -286,13 +286,13 @@ def test_inconsistent_motion_is_refused_with_its_row_and_can_be_repaired():
         inverse.solve(x._replace(q=x.q + bent), a)
     robot, closure = bars()
     noisy = State(0.0, x.q + bent, x.v + off)
-    y, b = inverse.consistent(noisy, a + 30 * off)
+    y, b = inverse.project_motion(noisy, a + 30 * off)
     M, Z = pin.crba(robot.model, robot.model.createData(), y.q), allowed(robot, closure, y)
     assert Z.T @ M @ (y.v - noisy.v) == pytest.approx(0.0, abs=1e-12)
     assert Z.T @ M @ (b - a - 30 * off) == pytest.approx(0.0, abs=1e-11)
     assert Z.T @ M @ (y.q - noisy.q) == pytest.approx(0.0, abs=1e-7)  # M of the start
     assert np.isfinite(inverse.solve(y, b).tau).all()
-    again, c = inverse.consistent(y, b)
+    again, c = inverse.project_motion(y, b)
     assert again.q == pytest.approx(y.q, abs=1e-12)
     assert np.r_[again.v, c] == pytest.approx(np.r_[y.v, b], abs=1e-10)
 
@@ -325,12 +325,12 @@ def test_at_a_toggle_nothing_is_infinite_and_the_branch_is_kept():
     robot, closure = bars(lengths)
     inverse = inverse_of(robot, Couplings(robot), [closure], ("crank", "coupler"))
     flat = State(0.0, np.zeros(3), np.array([2.0, -2.0, 2.0]))
-    found = inverse.solve(*inverse.consistent(flat, np.zeros(3)))
+    found = inverse.solve(*inverse.project_motion(flat, np.zeros(3)))
     assert np.isfinite([*found.tau, *found.multipliers]).all()
     only, q = np.array([True, False, False]), np.array([0.3, -0.3, 0.3])
     for crank in np.linspace(0.3, -0.3, 61):  # 0 among them
         measured = State(0.0, np.array([crank, np.nan, np.nan]), np.full(3, np.nan))
-        x, _, _ = inverse.motion.complete(q, measured, np.full(3, np.nan), only)
+        x, _, _ = inverse.motion.close_loops(q, measured, np.full(3, np.nan), only)
         assert closure_gap(robot, closure, x) <= 1e-12
         q = x.q
 
@@ -347,10 +347,10 @@ def test_joints_that_nobody_measures_follow_from_the_loops_on_their_branch():
     known = ("hip_flexion", "knee_posterior", "ankle")
     measured = np.zeros(5, dtype=bool)
     measured[[built.robot.joint(name).v for name in known]] = True
-    q = inverse.motion.start(built.initial)
+    q = inverse.motion.assemble(built.initial)
     for x, a, _ in list(simulated(built, 0.5))[::50]:  # far apart: strides in between
         hidden = [np.where(measured, values, np.nan) for values in (x.q, x.v, a)]
-        y, b, _ = inverse.motion.complete(q, State(x.t, *hidden[:2]), hidden[2], measured)
+        y, b, _ = inverse.motion.close_loops(q, State(x.t, *hidden[:2]), hidden[2], measured)
         assert y.q == pytest.approx(x.q, abs=1e-11)
         assert np.r_[y.v, b] == pytest.approx(np.r_[x.v, a], rel=1e-9, abs=1e-9)
         q = y.q
@@ -389,7 +389,7 @@ def test_anchored_floating_base_has_no_residual_and_a_free_one_all_it_would_need
 
 def test_repeated_and_unknown_actuators_are_refused():
     robot, closure = bars()
-    for joints, words in ((("crank", "crank"), "different"), (("knee",), "no joint 'knee'")):
+    for joints, words in ((("crank", "crank"), "must differ"), (("knee",), "no joint 'knee'")):
         with pytest.raises(ModelError, match=words):
             inverse_of(robot, Couplings(robot), [closure], joints)
 
@@ -402,7 +402,7 @@ def test_no_result_depends_on_what_was_solved_before(name, with_bounds):
     """1 000 evaluations in random order give the bits of a new solver, the noisy ones too."""
     built, rng = load_scene(SCENES / f"{name}.yaml"), np.random.default_rng(6)
     joints = len(built.couplings.v_index)
-    begin = built.closed_loop().motion.start(built.initial)[built.couplings.q_index]
+    begin = built.closed_loop().motion.assemble(built.initial)[built.couplings.q_index]
     moves = [
         (begin + 1e-3 * size * rng.normal(size=joints), *(size * rng.normal(size=(2, joints))))
         for size in (1e-3, 1e-2, 0.1, 1.0)
@@ -414,7 +414,7 @@ def test_no_result_depends_on_what_was_solved_before(name, with_bounds):
             found = solver.solve(*move)
         except SolveError as error:
             return str(error)
-        return tuple(found.tau) + tuple(found.multipliers) + (found.condition, solver.moved)
+        return tuple(found.tau) + tuple(found.multipliers) + (found.condition, solver.correction)
 
     fresh = [bits(actuated.inverse_dynamics(with_bounds=with_bounds), move) for move in moves]
     used = actuated.inverse_dynamics(with_bounds=with_bounds)

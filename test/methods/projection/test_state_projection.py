@@ -172,7 +172,7 @@ def test_couplings_in_their_own_coordinates_are_the_same_as_rows(name, missing):
         q = x0.q + size * rng.normal(size=ours.system.nv)
         m = measured(q, rng.normal(size=ours.system.nv), missing, scene)
         prepared, rows = ours.prepare(m), ours._on_rows.rows(0.0, q)
-        metrics = prepared.metric, prepared.of_velocity
+        metrics = prepared.metric, prepared.velocity_metric
         coupled = ours._coupled.find(m.x, *(metric.W for metric in metrics))
         general = ours._on_rows.find(m.x, *metrics, rows)
         for field in ("q", "v", "lam", "mu")[: 4 if name == LEG else 2]:

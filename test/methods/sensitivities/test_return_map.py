@@ -12,9 +12,9 @@ from mbd_ros.features.gait.continuation import DOUBLING, Continuation
 from mbd_ros.features.gait.periodic import ReturnMap, multipliers, periodic_motion
 from mbd_ros.methods.sensitivities.flow import Travel
 from mbd_ros.methods.sensitivities.saltation import (
-    crossing,
     derivative,
-    reset_along,
+    guard_crossing,
+    reset_along_guard,
     saltation,
     transition,
 )
@@ -94,7 +94,7 @@ def test_a_map_without_saltation_is_another_one(two_steps):
     """What the delay of an event does is forgotten: the derivative is off by more than it is."""
     way, passage = two_steps
     flow, (one, two) = way.flow, passage.segments
-    jump = reset_along(flow, one, crossing(flow, one, one.end))
+    jump = reset_along_guard(flow, one, guard_crossing(flow, one, one.end))
     plain = (
         transition(flow, two)
         @ derivative(flow, lambda y: flow.minus(flow.reset(one, y), one.after), one.end)
@@ -148,12 +148,12 @@ def test_period_doublings_of_the_simplest_walker():
     first = periodic_motion(family(0.0145), at.end)
     branch = along.branch(first, 0.0145, 1)
     assert branch.ended == "end of the range"
-    assert [mark.mark for mark in branch.marks] == [DOUBLING]
-    doubling = branch.marks[0]
+    assert [mark.mark for mark in branch.bifurcations] == [DOUBLING]
+    doubling = branch.bifurcations[0]
     assert doubling.parameter == pytest.approx(0.015088437941, abs=1e-8)
     assert doubling.motion.state.q[0] == pytest.approx(0.237165863592, abs=1e-8)
     assert doubling.motion.passage.period == pytest.approx(3.912409, abs=1e-6)
-    doubled = along.doubled(doubling, 1)
+    doubled = along.follow_doubling(doubling, 1)
     assert doubled.cycles == 2
-    assert [mark.mark for mark in doubled.marks] == [DOUBLING]
-    assert doubled.marks[0].parameter == pytest.approx(0.0176694, abs=1e-7)
+    assert [mark.mark for mark in doubled.bifurcations] == [DOUBLING]
+    assert doubled.bifurcations[0].parameter == pytest.approx(0.0176694, abs=1e-7)

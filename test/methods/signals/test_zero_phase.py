@@ -15,7 +15,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_writer import Spool, StampSpool
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.signals.spectrum import spectrum
-from mbd_ros.methods.signals.spline_basis import CellBasis, joined, parted
+from mbd_ros.methods.signals.spline_basis import CellBasis, join_cells, split_cells
 from mbd_ros.motion.filters import chosen_cutoffs, low_passed, smoothed, zero_phase
 from mbd_ros.motion.long_stamps import Windows
 
@@ -343,10 +343,13 @@ def test_splines_of_pairs_of_cells_are_sums_of_splines_of_the_cells():
     rng, n = np.random.default_rng(5), len(places)
     values, every = rng.normal(size=(n, 3)), np.arange(3)
     sums = wide.projected(values, every)
-    assert np.abs(joined(fine.projected(values, every)) - sums).max() <= 1e-13 * np.abs(sums).max()
+    assert (
+        np.abs(join_cells(fine.projected(values, every)) - sums).max()
+        <= 1e-13 * np.abs(sums).max()
+    )
     coefficients, found = rng.normal(size=(3, 24 + 5)), np.empty((2, n, 3))
     for own, basis, target in zip(
-        (parted(coefficients), coefficients), (fine, wide), found, strict=True
+        (split_cells(coefficients), coefficients), (fine, wide), found, strict=True
     ):
         basis.put(own, 1.0, [(0, every, target, every)], slice(0, n))
     assert np.abs(found[0] - found[1]).max() <= 1e-13 * np.abs(found).max()

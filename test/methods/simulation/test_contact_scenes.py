@@ -6,7 +6,7 @@ import pytest
 from places import ROOT
 
 from mbd_ros.api import load_scene
-from mbd_ros.methods.simulation.shown_accelerations import seen_at
+from mbd_ros.methods.simulation.sample_accelerations import accelerations_at
 
 SCENES = ROOT / "config/scenes"
 GRAVITY = 9.81
@@ -85,7 +85,7 @@ def normals(simulation, x):
 
 def forces(simulation, x):
     """Forces in contact frames, of all contacts, shape (n, 3) each."""
-    lam = seen_at(simulation, x, None, simulation.stepper.forces).lam
+    lam = accelerations_at(simulation, x, None, simulation.stepper.forces).lam
     blocks = [block for block in simulation.system.layout.blocks if block.cones()]
     return [lam[block.slots].reshape(-1, 3) for block in blocks]
 

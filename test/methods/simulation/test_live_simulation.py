@@ -102,7 +102,7 @@ def test_a_reset_leaves_nothing_behind(scene, more):
 def test_a_tick_that_is_no_whole_number_of_steps_is_refused(scene):
     for dt in ("3e-4", "2e-3"):
         loaded = scene(f"{PENDULUM}dt: {dt}\n")
-        with pytest.raises(ModelError, match=r"tick of 0.001 s .* steps of dt .*rate or dt"):
+        with pytest.raises(ModelError, match=r"tick of 0.001 s .* multiple of the step .*rate or"):
             live(loaded)
 
 

@@ -73,7 +73,7 @@ def looks(steps, end=10.0, dt=1e-3, text=CHATTERING):
     watch.begin(t)
     for step in steps:
         t += step * WINDOW
-        watch.look(scene.initial._replace(t=t), None, end)
+        watch.check(scene.initial._replace(t=t), None, end)
     return said
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from fuzz.documents import change_value, nested
 from fuzz.values import NUMBERS, WORDS, near, spoil_bytes
 
-from mbd_ros.methods.learned import ABOUT, SUM, ZEROS, signed
+from mbd_ros.methods.learned_model import ABOUT, SUM, ZEROS, signed
 
 _KINDS = ("f2", ">f8", "f4", "i8", "u1", "?", "c16", "U3", "M8[s]", "m8[s]", "O", "f8,f8")
 _HEADERS = (  # of an .npy

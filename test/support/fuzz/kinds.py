@@ -22,7 +22,7 @@ from fuzz.values import spoil_bytes
 from mbd_ros.files.formats import BAGS, FOLDER, FORMATS, PICTURES
 from mbd_ros.jobs.arguments import names_scenes
 from mbd_ros.jobs.table import COMMANDS, command_module
-from mbd_ros.methods.learned import LearnedFile
+from mbd_ros.methods.learned_model import LearnedFile
 from mbd_ros.scene.models import model_entry
 from mbd_ros.scene.schema.locate import path_word
 from mbd_ros.scene.schema.registry import PARTS, resolve

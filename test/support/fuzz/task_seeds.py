@@ -421,7 +421,9 @@ def _gait() -> list[Seed]:
         "longest": 0.02,  # s: no cycle is that short, and the search ends
     }
     words = "gait", "simplest_walker_step", "@t.yaml", "-o", "@o.csv", "--workers", "1"
-    return [Seed(words, {"t.yaml": of_values(gait=task)}, ("t.yaml",), behind="longer longest")]
+    return [
+        Seed(words, {"t.yaml": of_values(gait=task)}, ("t.yaml",), behind="longer time in longest")
+    ]
 
 
 def _follow() -> list[Seed]:

@@ -195,7 +195,7 @@ def _forces(problem: Problem, plant: MultibodyPlant, context: Any) -> Array:
     """Normal forces at the end [N], as `Trace` orders them."""
     results = plant.get_contact_results_output_port().Eval(context)
     is_split = problem.solids[0].shape == "feet"
-    found = np.zeros(4 if is_split else len(problem.pairs))
+    forces = np.zeros(4 if is_split else len(problem.pairs))
     for i in range(results.num_point_pair_contacts()):
         contact = results.point_pair_contact_info(i)
         bodies = (int(contact.bodyA_index()), int(contact.bodyB_index()))
@@ -204,5 +204,5 @@ def _forces(problem: Problem, plant: MultibodyPlant, context: Any) -> Array:
         if is_split:
             feet = problem.solids[0].feet[:, :2]
             solid = int(np.argmin(np.linalg.norm(feet - contact.contact_point()[:2], axis=1)))
-        found[solid] += abs(force)
-    return found
+        forces[solid] += abs(force)
+    return forces

@@ -62,8 +62,8 @@ def _wrong(name: str, outcome: Mapping[str, Any]) -> Iterator[str]:
         if "stopped" in run:
             yield f"{name}, {run['setup']}, dt {run['dt']:g} s: {run['stopped']}"
     least = min((run["position"] for run in finished(mine)), default=None)
-    if least is not None and least > outcome["asked"] and not outcome["quick"]:
-        yield f"{name}: reaches {shown(least)}, and {shown(outcome['asked'])} is asked"
+    if least is not None and least > outcome["demanded"] and not outcome["quick"]:
+        yield f"{name}: reaches {shown(least)}, and {shown(outcome['demanded'])} is asked"
 
 
 def _standing(done: Mapping[str, Mapping[str, Any]], groups: Mapping[str, Group]) -> Table:
@@ -152,7 +152,7 @@ def run(spec: Spec) -> Outcome:
         return judged(problem, trace)
 
     records = in_turn(contenders, problem.times, judge, 2)
-    facts = {"span": problem.times[-1], "unit": problem.unit, "asked": problem.asked}
+    facts = {"span": problem.times[-1], "unit": problem.unit, "demanded": problem.demanded}
     return {"runs": records, "setups": setups, "quick": spec["quick"], "agreement": 0.0, **facts}
 
 

@@ -136,11 +136,11 @@ def _forces(problem: Problem, model: Any, data: Any) -> Array:
     """Normal forces at the end [N], as `Trace` orders them."""
     mujoco.mj_forward(model, data)
     is_split = problem.solids[0].shape == "feet"
-    found, force = np.zeros(4 if is_split else len(problem.pairs)), np.zeros(6)
+    forces, force = np.zeros(4 if is_split else len(problem.pairs)), np.zeros(6)
     for i in range(data.ncon):
         mujoco.mj_contactForce(model, data, i, force)
         bodies = sorted(int(model.geom_bodyid[g]) for g in data.contact[i].geom)
         feet = model.body_geomadr[1]
         foot = int(max(data.contact[i].geom)) - int(feet)
-        found[foot if is_split else bodies[1] - 1] += force[0]
-    return found
+        forces[foot if is_split else bodies[1] - 1] += force[0]
+    return forces

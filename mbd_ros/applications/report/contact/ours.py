@@ -10,7 +10,7 @@ from mbd_ros.applications.report.contact.problems import Problem, Solid, Trace
 from mbd_ros.applications.report.peers.contenders import cpu_time
 from mbd_ros.applications.report.precision.converged import Choice, Record
 from mbd_ros.core.state import Array, State
-from mbd_ros.methods.simulation.shown_accelerations import seen_at
+from mbd_ros.methods.simulation.sample_accelerations import accelerations_at
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.from_python import scene_from
@@ -115,7 +115,7 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 
 def trace_of(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
-    """What is compared of a run, from its states at the samples."""
+    """Return the compared quantities of a run, from its states at the samples."""
     samples = [sample(problem, x) for x in states]
     forces = _forces(problem, simulation, states[-1]) if problem.has_forces else np.zeros(0)
     return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)
@@ -124,7 +124,7 @@ def trace_of(problem: Problem, simulation: Simulation, states: Sequence[State]) 
 def _forces(problem: Problem, simulation: Simulation, x: State) -> Array:
     """Normal forces at the last state of a run [N], as `Trace` orders them."""
     cones = simulation.system.layout.cones
-    lam = seen_at(simulation, x, None, simulation.stepper.forces).lam
+    lam = accelerations_at(simulation, x, None, simulation.stepper.forces).lam
     forces = np.array([lam[cone.slots.start] for cone in cones])
     if problem.solids[0].shape == "feet":
         return forces

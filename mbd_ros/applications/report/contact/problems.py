@@ -30,7 +30,7 @@ _HALVINGS = 60
 
 
 class Problem(NamedTuple):
-    """What is simulated, and what is true.
+    """A contact problem with its true solution.
 
     Attributes:
         name: Letters, digits and underscores.
@@ -42,7 +42,7 @@ class Problem(NamedTuple):
         times: Samples [s].
         error: Largest error of a run, in `unit`.
         unit: Of the error.
-        asked: Error that this package must reach, in `unit`.
+        demanded: Error that this package must reach, in `unit`.
         is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
         has_forces: Whether the error is one of forces.
     """
@@ -56,7 +56,7 @@ class Problem(NamedTuple):
     times: tuple[float, ...]
     error: Callable[[Trace], float]
     unit: str
-    asked: float
+    demanded: float
     is_smooth: bool = True
     has_forces: bool = False
 
@@ -181,7 +181,7 @@ def _block(v: Sequence[float] = (0.0, 0.0, 0.0), height: float = 0.0) -> Solid:
 
 def _problem(name: str, solid: Solid, mu: float, times: Sequence[float], **others: Any) -> Problem:
     """One solid on the ground."""
-    given = {"gravity": _DOWN, "restitution": 0.0, "unit": "m", "asked": 1e-10, **others}
+    given = {"gravity": _DOWN, "restitution": 0.0, "unit": "m", "demanded": 1e-10, **others}
     pairs = ((solid.name, GROUND),)
     return Problem(name=name, solids=(solid,), pairs=pairs, mu=mu, times=tuple(times), **given)
 
@@ -203,7 +203,7 @@ def _curve() -> Problem:
     _, _, down = _tilted(degrees)
     gravity = (0.0, -_tilted(degrees)[0], down)
     mu = float(np.tan(np.deg2rad(degrees)))
-    block, more = _block((speed, 0.0, 0.0)), {"gravity": gravity, "asked": 1e-8}
+    block, more = _block((speed, 0.0, 0.0)), {"gravity": gravity, "demanded": 1e-8}
     return _problem("bend", block, mu, times, error=error, **more)
 
 
@@ -263,7 +263,7 @@ def _bounce() -> Problem:
         return float(np.abs(run.x[:, 0, 2] - radius - known).max())
 
     ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius + 1.0))
-    return _problem("bounce", ball, 0.0, times, restitution=e, error=error, asked=1e-9)
+    return _problem("bounce", ball, 0.0, times, restitution=e, error=error, demanded=1e-9)
 
 
 def bounce(t: float, height: float, e: float) -> float:
@@ -293,7 +293,7 @@ def stuck() -> Problem:
         early, late = run.x[:, 0, :2]
         return float(np.linalg.norm(late - early)) / (times[1] - times[0])
 
-    more = {"gravity": _tilted(15.0), "unit": "m/s", "asked": 1e-11}
+    more = {"gravity": _tilted(15.0), "unit": "m/s", "demanded": 1e-11}
     return _problem("stuck_box", _block(), 0.3, times, error=error, **more)
 
 
@@ -304,7 +304,7 @@ def dropped() -> Problem:
     def error(run: Trace) -> float:
         return float(abs(run.x[-1, 0, 2] - 0.5 * _BOX[2]))
 
-    return _problem("dropped_box", _block(height=0.5), 0.3, times, error=error, asked=1e-9)
+    return _problem("dropped_box", _block(height=0.5), 0.3, times, error=error, demanded=1e-9)
 
 
 def _stack() -> Problem:
@@ -321,7 +321,7 @@ def _stack() -> Problem:
         return float(np.abs(run.forces / known - 1.0).max())
 
     times = _samples(1.0, 1)
-    more = {"unit": "relative", "asked": 1e-9, "is_smooth": False, "has_forces": True}
+    more = {"unit": "relative", "demanded": 1e-9, "is_smooth": False, "has_forces": True}
     return Problem("stack", _DOWN, solids, pairs, 0.5, 0.0, times, error, **more)
 
 
@@ -337,7 +337,7 @@ def _table() -> Problem:
 
     feet = Solid("table", mass, "feet", (length, length, 0.7), (0.0, 0.0, 0.35))
     feet, times = feet._replace(centre=(x, y, 0.0)), _samples(1.0, 1)
-    more = {"unit": "relative", "asked": 1e-9, "has_forces": True}
+    more = {"unit": "relative", "demanded": 1e-9, "has_forces": True}
     return _problem("table", feet, 0.5, times, error=error, **more)
 
 

@@ -38,16 +38,16 @@ def operations(scene: Scene) -> Outcome:
         `operations`, of them `operations_loads` and `operations_rows`; or `uncounted`, why not.
     """
     try:
-        whole = _count(scene, ())
+        full_count = _count(scene, ())
     except MbdError as error:
         return {"uncounted": str(error)[:160]}
-    found: Outcome = {"operations": whole}
+    counts: Outcome = {"operations": full_count}
     for key, sections in _PARTS.items():
         try:
-            found[key] = whole - _count(scene, sections)
+            counts[key] = full_count - _count(scene, sections)
         except MbdError:  # others need these parts
             continue
-    return found
+    return counts
 
 
 def _count(scene: Scene, without: Sequence[str]) -> int:
@@ -119,11 +119,11 @@ def run(spec: Spec) -> Outcome:
     if probe.returncode:
         return {"failed": probe.stderr.strip().splitlines()[-1][:200]}
     try:
-        found: Outcome = {**json.loads(probe.stdout.splitlines()[-1]), **costs(path, calls)}
-        found |= operations(load_scene(path))
+        outcome: Outcome = {**json.loads(probe.stdout.splitlines()[-1]), **costs(path, calls)}
+        outcome |= operations(load_scene(path))
     except MbdError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
-    return found
+    return outcome
 
 
 def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
@@ -144,22 +144,22 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
     system, y = simulation.system, simulation.start(scene.initial)
     x = system.expand(y)
     model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
-    found: dict[str, object] = {"formulation": tier_of(system)}
-    found["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
-    found["evaluation"] = _best(evaluation_at(system, y), calls)
+    seconds: dict[str, object] = {"formulation": tier_of(system)}
+    seconds["aba"] = _best(lambda: pin.aba(model, data, x.q, x.v, zero), calls)
+    seconds["evaluation"] = _best(evaluation_at(system, y), calls)
     if not system.loads.is_empty:
         system.k.refresh(x.q, x.v)
-        found["loads"] = _best(lambda: system.loads.total(system.k, x, None), calls)
+        seconds["loads"] = _best(lambda: system.loads.total(system.k, x, None), calls)
     if system.rows:
         system.k.refresh(x.q, x.v)
-        found["rows"] = _best(lambda: system.constraints.accelerations(system.k, x), calls)
-        found["projection"] = _best(lambda: project(system, y), calls)
-    found["step"] = _step(scene, {}, calls)
+        seconds["rows"] = _best(lambda: system.constraints.accelerations(system.k, x), calls)
+        seconds["projection"] = _best(lambda: project(system, y), calls)
+    seconds["step"] = _step(scene, {}, calls)
     try:
-        found["everything"] = _step(_with_stops(scene), {"solver": {"type": "qp"}}, calls)
+        seconds["everything"] = _step(_with_stops(scene), {"solver": {"type": "qp"}}, calls)
     except MbdError as error:
-        found["refused"] = str(error)[:120]
-    return found
+        seconds["refused"] = str(error)[:120]
+    return seconds
 
 
 def _step(scene: Scene, more: Mapping[str, Mapping[str, str]], calls: int) -> float:

@@ -34,13 +34,13 @@ def main() -> int:
     simulation.advance(y, None, y.t + scene.dt)
     known = {target.split(":")[0] for parts in PARTS.values() for target in parts.values()}
     loaded = [name for name in sys.modules if name.startswith("mbd_ros.")]
-    found = {
+    measured = {
         "modules": len(loaded),
         "parts": sorted(name.split(".", 1)[1] for name in loaded if name in known),
         "not_imported": len(known - set(loaded)),
         "libraries": [name for name in LIBRARIES if name in sys.modules],
     }
-    sys.stdout.write(json.dumps(found) + "\n")
+    sys.stdout.write(json.dumps(measured) + "\n")
     return 0
 
 

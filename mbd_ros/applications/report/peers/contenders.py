@@ -43,7 +43,7 @@ class Contender(Protocol[Found_co]):
     record: Record
 
     def run(self, times: Sequence[float]) -> tuple[Found_co, float]:
-        """What was found at the samples, and CPU time of the integration alone [s].
+        """Return the solution at the samples, and the CPU time of the integration alone [s].
 
         Raises:
             MbdError: The run stopped.
@@ -65,7 +65,7 @@ class Ours:
         self.setup = choice.method
 
     def run(self, times: Sequence[float]) -> tuple[list[State], float]:
-        """As `Contender.run`."""
+        """Return the states at the samples, and the CPU time of the integration [s]."""
         simulation, ys, used = timed(self._scene, self._choice, times)
         return [simulation.system.expand(y) for y in ys], used
 
@@ -102,13 +102,13 @@ def in_turn(
                 if "stopped" in records[i] or sum(seconds[i]) * times[-1] > _LONG:
                     continue
                 try:
-                    found, used = contender.run(times)
+                    samples, used = contender.run(times)
                 except MbdError as stop:
                     records[i]["stopped"] = str(stop)[:160]
                     continue
                 seconds[i].append(used / times[-1])
                 if turn == 0:
-                    records[i] |= judge(found)
+                    records[i] |= judge(samples)
     finally:
         gc.enable()
     for record, taken in zip(records, seconds, strict=True):

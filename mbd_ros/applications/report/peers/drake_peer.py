@@ -75,7 +75,7 @@ class DrakeRun:
         self.record: Record = {"dt": dt} if accuracy is None else {"accuracy": accuracy}
 
     def run(self, times: Sequence[float]) -> tuple[list[State], float]:
-        """As `Contender.run`.
+        """Return the states at the samples, and the CPU time of the integration [s].
 
         Raises:
             DivergedError: Drake gives up.
@@ -157,29 +157,29 @@ def _add_pairs(plant: MultibodyPlant, task: Task, bodies: Sequence[RigidBody]) -
         plant.AddDistanceConstraint(*points, distance)
 
 
-def _add_body(plant: MultibodyPlant, parent: RigidBody, told: Body) -> RigidBody:
-    body = plant.AddRigidBody(told.name, _inertia(told.inertia))
-    if not told.axis.any():
+def _add_body(plant: MultibodyPlant, parent: RigidBody, spec: Body) -> RigidBody:
+    body = plant.AddRigidBody(spec.name, _inertia(spec.inertia))
+    if not spec.axis.any():
         return body
-    place = FixedOffsetFrame(f"at {told.name}", parent.body_frame(), _pose(told.place))
+    place = FixedOffsetFrame(f"at {spec.name}", parent.body_frame(), _pose(spec.place))
     frames = plant.AddFrame(place), body.body_frame()
-    kind, spring = _SLIDE if told.slides else _HINGE
-    joint = plant.AddJoint(kind(told.name, *frames, told.axis, damping=told.damping))
-    if told.stiffness:
-        plant.AddForceElement(spring(joint, told.rest, told.stiffness))
-    if told.armature:
-        actuator = plant.AddJointActuator(told.name, joint)
-        actuator.set_default_rotor_inertia(told.armature)
+    kind, spring = _SLIDE if spec.slides else _HINGE
+    joint = plant.AddJoint(kind(spec.name, *frames, spec.axis, damping=spec.damping))
+    if spec.stiffness:
+        plant.AddForceElement(spring(joint, spec.rest, spec.stiffness))
+    if spec.armature:
+        actuator = plant.AddJointActuator(spec.name, joint)
+        actuator.set_default_rotor_inertia(spec.armature)
     return body
 
 
-def _inertia(told: Any) -> SpatialInertia:
-    if told.mass == 0.0:
+def _inertia(spec: Any) -> SpatialInertia:
+    if spec.mass == 0.0:
         return SpatialInertia.Zero()
-    unit = told.inertia / told.mass
+    unit = spec.inertia / spec.mass
     moments = UnitInertia(*np.diag(unit), unit[0, 1], unit[0, 2], unit[1, 2])
-    about_origin = moments.ShiftFromCenterOfMass(-told.lever)
-    return SpatialInertia(told.mass, told.lever, about_origin)
+    about_origin = moments.ShiftFromCenterOfMass(-spec.lever)
+    return SpatialInertia(spec.mass, spec.lever, about_origin)
 
 
 def _pose(place: Any) -> RigidTransform:

@@ -50,7 +50,7 @@ class ExudynRun:
         self.record: Record = {"dt": dt}
 
     def run(self, times: Sequence[float]) -> tuple[list[State], float]:
-        """As `Contender.run`.
+        """Return the states at the samples, and the CPU time of the integration [s].
 
         Raises:
             DivergedError: Exudyn gives up.
@@ -196,12 +196,12 @@ def _marker(system: Any, tree: int, end: End, turns: Sequence[Any]) -> int:
     point = turns[end.body].T @ end.place.translation
     if end.body == 0:
         ground = system.AddObject(items.ObjectGround())
-        told = items.MarkerBodyRigid(bodyNumber=ground, localPosition=list(point))
+        marker = items.MarkerBodyRigid(bodyNumber=ground, localPosition=list(point))
     else:
-        told = items.MarkerKinematicTreeRigid(
+        marker = items.MarkerKinematicTreeRigid(
             objectNumber=tree, linkNumber=end.body - 1, localPosition=list(point)
         )
-    return int(system.AddMarker(told))
+    return int(system.AddMarker(marker))
 
 
 def _turn(axis: Any) -> Any:

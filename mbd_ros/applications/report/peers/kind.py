@@ -100,7 +100,7 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
     names = installed()
     if not names:
         return []
-    seconds, found = (_SECONDS_QUICK if quick else _SECONDS), []
+    seconds, work_items = (_SECONDS_QUICK if quick else _SECONDS), []
     for subject in subjects(scenes, quick):
         if scenes or subject.name in (_QUICK if quick else _SCENES):
             spec = {
@@ -109,8 +109,8 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
                 "peers": names,
                 "quick": quick,
             }
-            found.append(Item("peers", subject.name, spec, seconds, True))
-    return found
+            work_items.append(Item("peers", subject.name, spec, seconds, True))
+    return work_items
 
 
 def installed() -> list[str]:
@@ -260,12 +260,12 @@ def _demands(scene: str, groups: Mapping[str, Group]) -> list[Sequence[str]]:
         for (name, error), demanded in wanted.items():
             if name != scene or package not in groups:
                 continue
-            found = _best_ratio(groups, package, error)
-            if found is None:
+            best_ratio = _best_ratio(groups, package, error)
+            if best_ratio is None:
                 continue
-            judged = "holds" if found >= demanded else "does not hold"
+            judged = "holds" if best_ratio >= demanded else "does not hold"
             shown_name = scene if package == OURS else f"{scene}, compiled"
-            rows.append([shown_name, power(error), f"{found:.1f}", f"{demanded:g}", judged])
+            rows.append([shown_name, power(error), f"{best_ratio:.1f}", f"{demanded:g}", judged])
     return rows
 
 
@@ -326,14 +326,14 @@ def costs(
 def _cost(ours: Group, theirs: Group | None, error: float) -> str:
     if theirs is None or not theirs.points:
         return "-"
-    cost, found = _priced(theirs.points, error), ratio(ours.points, theirs.points, error)
+    cost, factor = _priced(theirs.points, error), ratio(ours.points, theirs.points, error)
     if not cost:
         return f"reaches {shown(min(point.error for point in theirs.points))} only"
     loose = is_loose(ours.points, error), is_loose(theirs.points, error)
-    if found is None or all(loose):
+    if factor is None or all(loose):
         return cost
     sign = {(True, False): "≥ ", (False, True): "≤ "}.get(loose, "")
-    return f"{cost}, {sign}{found:.1f} x" if found >= _FAINT else f"{cost}, {sign}{found:.1g} x"
+    return f"{cost}, {sign}{factor:.1f} x" if factor >= _FAINT else f"{cost}, {sign}{factor:.1g} x"
 
 
 def _priced(points: Sequence[Point], error: float) -> str:

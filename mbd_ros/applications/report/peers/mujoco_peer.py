@@ -64,7 +64,7 @@ class MujocoRun:
         self.record: Record = {"dt": dt}
 
     def run(self, times: Sequence[float]) -> tuple[list[State], float]:
-        """As `Contender.run`.
+        """Return the states at the samples, and the CPU time of the integration [s].
 
         Raises:
             DivergedError: MuJoCo warns of huge or infinite numbers.
@@ -136,25 +136,25 @@ def _least_inertia(task: Task) -> Any:
     return pin.Inertia(max(mass, _NEARLY_NOTHING), np.zeros(3), moment * np.eye(3))
 
 
-def _add_body(parent: Any, told: Body, least: Any) -> Any:
-    place, inertia = told.place, told.inertia
+def _add_body(parent: Any, spec: Body, least: Any) -> Any:
+    place, inertia = spec.place, spec.inertia
     if inertia.mass < least.mass:
         inertia = least
     elif np.linalg.eigvalsh(inertia.inertia)[0] < least.inertia[0, 0]:
         inertia = pin.Inertia(inertia.mass, inertia.lever, inertia.inertia + least.inertia)
     quaternion = pin.Quaternion(place.rotation).coeffs()[_WXYZ]
-    body = parent.add_body(name=told.name, pos=place.translation, quat=quaternion)
+    body = parent.add_body(name=spec.name, pos=place.translation, quat=quaternion)
     body.explicitinertial, body.mass, body.ipos = True, inertia.mass, inertia.lever
     moments = inertia.inertia
     body.fullinertia = [*np.diag(moments), moments[0, 1], moments[0, 2], moments[1, 2]]
-    if not told.axis.any():
-        body.add_freejoint(name=told.name)
+    if not spec.axis.any():
+        body.add_freejoint(name=spec.name)
         return body
-    kind = mujoco.mjtJoint.mjJNT_SLIDE if told.slides else mujoco.mjtJoint.mjJNT_HINGE
-    joint = body.add_joint(name=told.name, type=kind, axis=told.axis, armature=told.armature)
-    joint.springref = told.rest
-    joint.stiffness = _linear(told.stiffness, joint)
-    joint.damping = _linear(told.damping, joint)
+    kind = mujoco.mjtJoint.mjJNT_SLIDE if spec.slides else mujoco.mjtJoint.mjJNT_HINGE
+    joint = body.add_joint(name=spec.name, type=kind, axis=spec.axis, armature=spec.armature)
+    joint.springref = spec.rest
+    joint.stiffness = _linear(spec.stiffness, joint)
+    joint.damping = _linear(spec.damping, joint)
     return body
 
 

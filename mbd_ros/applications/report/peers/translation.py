@@ -152,15 +152,15 @@ def _joint_loads(name: str, forces: Sequence[Entry]) -> tuple[float, float, floa
 
 
 def _couplings(scene: Scene) -> Iterator[Follow]:
-    given = scene.entries.get("couplings", {})
+    by_joint = scene.entries.get("couplings", {})
     model = scene.robot.model
     bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
     links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
     for name, link in links:
         if isinstance(link.function, Linear):
             coefficients: tuple[float, ...] = (link.function.offset, link.function.factor)
-        elif "polynomial" in given[name]:
-            coefficients = tuple(float(c) for c in given[name]["polynomial"])
+        elif "polynomial" in by_joint[name]:
+            coefficients = tuple(float(c) for c in by_joint[name]["polynomial"])
         else:
             kind = coupling_kinds(scene)[name]
             raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
@@ -346,30 +346,34 @@ def common_ground(scene: Scene) -> Ground:
 
     Stops and stiction of peers are soft under all settings; they do not know other forces.
     """
-    given, foreign = scene.entries, list(keys(scene.sections))[len(SECTIONS) :]
+    scene_entries, foreign = scene.entries, list(keys(scene.sections))[len(SECTIONS) :]
     scene, left = scene.without(foreign), [f"{key} (section of others)" for key in foreign]
-    kept: dict[str, tuple[Any, ...]] = {}
+    common_parts: dict[str, tuple[Any, ...]] = {}
     entries: dict[str, tuple[Entry, ...]] = {}
     for section, parts in (("constraints", scene.constraints), ("forces", scene.forces)):
         pairs = [
             (part, _entry(part, entry, f"{section}[{i}]"))
-            for i, (part, entry) in enumerate(zip(parts, given.get(section, ()), strict=True))
+            for i, (part, entry) in enumerate(
+                zip(parts, scene_entries.get(section, ()), strict=True)
+            )
         ]
-        told = [pair for pair in pairs if _is_told(*pair)]
+        expressible = [pair for pair in pairs if _is_told(*pair)]
         left += [
             f"{entry.where} ({entry.kind})" for part, entry in pairs if not _is_told(part, entry)
         ]
-        kept[section] = tuple(part for part, _ in told)
-        entries[section] = tuple(entry for _, entry in told)
-    scene = scene.holding(**kept) if left else scene
+        common_parts[section] = tuple(part for part, _ in expressible)
+        entries[section] = tuple(entry for _, entry in expressible)
+    scene = scene.holding(**common_parts) if left else scene
     return Ground(scene, entries["constraints"], entries["forces"], tuple(left))
 
 
-def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
+def _entry(part: Any, part_entry: Mapping[str, Any], where: str) -> Entry:
     accepted = inspect.signature(type(part)).parameters.values()
     defaults = {p.name: p.default for p in accepted if p.default is not inspect.Parameter.empty}
-    kind = given["type"]  # a class, where Python made the scene
-    return Entry(kind if isinstance(kind, str) else kind.__name__, {**defaults, **given}, where)
+    kind = part_entry["type"]  # a class, where Python made the scene
+    return Entry(
+        kind if isinstance(kind, str) else kind.__name__, {**defaults, **part_entry}, where
+    )
 
 
 def _is_told(part: Any, entry: Entry) -> bool:

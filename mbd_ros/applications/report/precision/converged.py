@@ -399,7 +399,7 @@ def errors(
     position = off if problem is None else error(problem, scene.robot, states)
     violations = [violation(system, y) for y in ys]
     energies = np.array([system.energy(y) for y in ys])
-    found: dict[str, float] = {
+    error_of: dict[str, float] = {
         "position": position,
         "configuration": off,
         "velocity": float(np.max([np.abs(x.v - known.v).max() for x, known in pairs])),
@@ -410,5 +410,5 @@ def errors(
     if motion.multipliers.size:
         solved = np.array([system.evaluate(x).lam for x in states])
         scale = float(np.abs(motion.multipliers).max()) or 1.0
-        found["multipliers"] = float(np.abs(solved - motion.multipliers).max()) / scale
-    return found
+        error_of["multipliers"] = float(np.abs(solved - motion.multipliers).max()) / scale
+    return error_of

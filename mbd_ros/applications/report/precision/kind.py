@@ -218,12 +218,12 @@ _REFERENCE = "reference"
 
 def items(scenes: Sequence[str], quick: bool) -> list[Item]:
     """One item a scene and family of integrators, and one for the motion itself."""
-    found = []
+    entries = []
     for subject in subjects(scenes, quick):
         scene = load_scene(subject.path)
-        found.append(_item(scene, subject, _REFERENCE, quick))
-        found += [_item(scene, subject, name, quick) for name in families(scene, quick)]
-    return found
+        entries.append(_item(scene, subject, _REFERENCE, quick))
+        entries += [_item(scene, subject, name, quick) for name in families(scene, quick)]
+    return entries
 
 
 def run(spec: Spec) -> Outcome:

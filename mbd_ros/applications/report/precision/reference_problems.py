@@ -85,13 +85,13 @@ def at_times(states: Iterable[State], times: Sequence[float] | Array) -> list[St
         MbdError: The run has no state at a sample; the message names it.
     """
     wanted = list(times)
-    found: list[State] = []
+    samples: list[State] = []
     for x in states:
-        if len(found) < len(wanted) and abs(x.t - wanted[len(found)]) <= _TIME_TOLERANCE:
-            found.append(x)
-    if len(found) < len(wanted):
-        raise MbdError(f"the run has no state at {wanted[len(found)]:g} s")
-    return found
+        if len(samples) < len(wanted) and abs(x.t - wanted[len(samples)]) <= _TIME_TOLERANCE:
+            samples.append(x)
+    if len(samples) < len(wanted):
+        raise MbdError(f"the run has no state at {wanted[len(samples)]:g} s")
+    return samples
 
 
 def error(problem: Problem, robot: Robot, states: Sequence[State]) -> float:

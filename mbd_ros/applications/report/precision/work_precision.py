@@ -143,12 +143,12 @@ def _integrators(axes: Any, runs: Sequence[Mapping[str, Any]], points: Sequence[
 
 def _series(runs: Sequence[Mapping[str, Any]]) -> dict[tuple[str, bool], list[int]]:
     """Runs by integrator and whether it has a tolerance, as the legend lists them."""
-    found: dict[tuple[str, bool], list[int]] = {}
+    series: dict[tuple[str, bool], list[int]] = {}
     for i, run in enumerate(runs):
         integrator = run["integrator"]
-        found.setdefault((integrator["type"], "tolerance" in integrator), []).append(i)
+        series.setdefault((integrator["type"], "tolerance" in integrator), []).append(i)
     order = list(_LOOKS)
-    return dict(sorted(found.items(), key=lambda pair: (order.index(pair[0][0]), pair[0][1])))
+    return dict(sorted(series.items(), key=lambda pair: (order.index(pair[0][0]), pair[0][1])))
 
 
 def _split(points: Sequence[Point]) -> tuple[list[Point], list[Point]]:

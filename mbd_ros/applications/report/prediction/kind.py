@@ -142,15 +142,15 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
     rows, wrong = [], []
     for item, outcome in outcomes:
         name, scheme = item.spec["problem"], item.spec["scheme"]
-        for one in outcome["runs"]:
-            if "stopped" in one:
-                wrong.append(f"{name}, {scheme}, {one['tolerance']:g}: {one['stopped']}")
+        for entry in outcome["runs"]:
+            if "stopped" in entry:
+                wrong.append(f"{name}, {scheme}, {entry['tolerance']:g}: {entry['stopped']}")
                 continue
-            numbers = [shown(one[key]) for key in ("off", "stated", "replay")]
-            cost = f"{1e3 * one['seconds']:.3g}"
-            rows.append([name, scheme, f"{one['tolerance']:.0e}", *numbers, cost])
-            if one["tolerance"] <= _DEFAULT and not one["off"] <= _ASKED:
-                wrong.append(f"{name}, {scheme}: the cost is {one['off']:.1e} off")
+            numbers = [shown(entry[key]) for key in ("off", "stated", "replay")]
+            cost = f"{1e3 * entry['seconds']:.3g}"
+            rows.append([name, scheme, f"{entry['tolerance']:.0e}", *numbers, cost])
+            if entry["tolerance"] <= _DEFAULT and not entry["off"] <= _ASKED:
+                wrong.append(f"{name}, {scheme}: the cost is {entry['off']:.1e} off")
     found = {f"prediction_{name}": _figure(name, outcomes) for name in PROBLEMS}
     table = Table("Error of the least cost", (*_COLUMNS, "CPU ms"), rows)
     sources = [f"{name}: {problem.source}." for name, problem in PROBLEMS.items()]
@@ -168,12 +168,12 @@ def _timed(spec: Spec, tolerance: float) -> dict[str, Any]:
         for _ in range(2):
             gc.collect()
             begin = time.process_time()
-            found = predict(problem.make(), _task(spec, tolerance)).metadata
+            plan = predict(problem.make(), _task(spec, tolerance)).metadata
             seconds.append(time.process_time() - begin)
     except MbdError as stop:
         return {"tolerance": tolerance, "stopped": f"{type(stop).__name__}: {stop}"[:160]}
-    off = abs(float(found["cost"]) / problem.cost - 1.0)
-    checked = {"stated": float(found["error"]), "replay": float(found["replay"])}
+    off = abs(float(plan["cost"]) / problem.cost - 1.0)
+    checked = {"stated": float(plan["error"]), "replay": float(plan["replay"])}
     return {"tolerance": tolerance, "off": off, **checked, "seconds": min(seconds)}
 
 
@@ -185,11 +185,11 @@ def _figure(name: str, outcomes: Sequence[tuple[Item, Outcome]]) -> Figure:
     for item, outcome in outcomes:
         if item.spec["problem"] != name:
             continue
-        done = [one for one in outcome["runs"] if "off" in one]
+        done = [entry for entry in outcome["runs"] if "off" in entry]
         color, marker = _LOOKS[item.spec["scheme"]]
         axes.plot(
-            [1e3 * one["seconds"] for one in done],
-            [max(one["off"], _LEAST) for one in done],
+            [1e3 * entry["seconds"] for entry in done],
+            [max(entry["off"], _LEAST) for entry in done],
             color=color,
             marker=marker,
             label=item.spec["scheme"],

@@ -263,12 +263,12 @@ def _shorter(
     problem: Problem, scene: Scene, method: str, dt: float, error: float
 ) -> tuple[float, str]:
     """The error at the first shorter step that is better, else at the last; its first fault."""
-    found, fault = error, ""
+    smaller, fault = error, ""
     for k in range(1, _QUARTERS + 1):
-        found, fault = _attempt(problem, scene, method, dt / 4**k)
-        if fault or found <= max(ASKED, _BETTER * error):
+        smaller, fault = _attempt(problem, scene, method, dt / 4**k)
+        if fault or smaller <= max(ASKED, _BETTER * error):
             break
-    return found, fault
+    return smaller, fault
 
 
 def _is_named(problem: Problem, text: str) -> bool:
@@ -278,7 +278,7 @@ def _is_named(problem: Problem, text: str) -> bool:
 
 
 def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
-    """What no solution is needed for: the first fault of a motion, empty without any."""
+    """Return the first fault of a motion that shows without a solution; empty without any."""
     model = scene.robot.model
     data, before = model.createData(), math.inf
     size = max(length for solid in problem.solids for length in solid.size)

@@ -69,24 +69,24 @@ def equations(case: Case, tiers: list[str], stops: str | None = None) -> Verdict
     Args:
         stops: As that of `unexpected`.
     """
-    found = _equations(case, tiers)
+    verdict = _equations(case, tiers)
     reason = case.reference.reason
-    if found.kind == CONVERGED and reason:
-        found = Verdict(STOPPED, math.inf, f"the reference stops: {reason}")
-    if found.kind == STOPPED and not is_named(case, found.text):
-        return Verdict(WRONG, math.inf, f"stopped without saying where: {found.text}")
-    return unexpected(found, stops)
+    if verdict.kind == CONVERGED and reason:
+        verdict = Verdict(STOPPED, math.inf, f"the reference stops: {reason}")
+    if verdict.kind == STOPPED and not is_named(case, verdict.text):
+        return Verdict(WRONG, math.inf, f"stopped without saying where: {verdict.text}")
+    return unexpected(verdict, stops)
 
 
-def unexpected(found: Verdict, stops: str | None) -> Verdict:
+def unexpected(verdict: Verdict, stops: str | None) -> Verdict:
     """Judge a stop: wrong in a scene of this package that must not stop.
 
     Args:
         stops: Text of the expected stop, empty if none is; None for a scene of a user.
     """
-    if found.kind != STOPPED or stops is None or (stops and stops in found.text):
-        return found
-    return Verdict(WRONG, found.error, f"must not stop: {found.text}")
+    if verdict.kind != STOPPED or stops is None or (stops and stops in verdict.text):
+        return verdict
+    return Verdict(WRONG, verdict.error, f"must not stop: {verdict.text}")
 
 
 def _equations(case: Case, tiers: list[str]) -> Verdict:
@@ -287,7 +287,7 @@ def random_row(seed: int) -> Outcome:
     """One random scene under a few methods and tiers, at a step that its seed chooses."""
     text = random_scene(seed)
     found = {"seed": seed, **_row(partial(load, text), None, partial(some_methods, seed), "")}
-    return {**found, **_kept(text)} if is_wrong(found) else found
+    return {**found, **_conserved(text)} if is_wrong(found) else found
 
 
 def is_wrong(row: Mapping[str, Any]) -> bool:
@@ -295,7 +295,7 @@ def is_wrong(row: Mapping[str, Any]) -> bool:
     return any(cell["kind"] == WRONG for cell in row["cells"])
 
 
-def _kept(text: SceneText) -> Outcome:
+def _conserved(text: SceneText) -> Outcome:
     return {"scene": text.scene, "urdf": text.urdf}
 
 

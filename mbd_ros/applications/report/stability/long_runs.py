@@ -123,13 +123,13 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
     steps = QUICK_STEPS if quick else STEPS
     if scenes:
         return []
-    found = []
+    entries = []
     for scene in LONG_SCENES:
         for method in _METHODS:
             count = steps // (_SHORTER if _is_short(scene, method) else 1)
             spec = {"scene": scene, "method": method, "steps": count}
-            found.append(Item(KIND, f"{scene}-{method}", spec, _seconds(scene, count)))
-    return found
+            entries.append(Item(KIND, f"{scene}-{method}", spec, _seconds(scene, count)))
+    return entries
 
 
 def _is_short(scene: str, method: str) -> bool:
@@ -145,22 +145,22 @@ def run(spec: Spec) -> Outcome:
     loaded, dt = SCENES[spec["scene"]](), LONG_SCENES[spec["scene"]].dt
     scene, steps = loaded.scene, int(spec["steps"])
     oracle = Oracle(loaded)
-    found: dict[str, Any] = {**spec, "dt": dt, "reason": ""}
+    record: dict[str, Any] = {**spec, "dt": dt, "reason": ""}
     samples: list[RunSample] = []
     try:
         entry = _METHODS[spec["method"]]
         solver = "kkt" if spec["method"] in _KEEPERS and coupling_kinds(loaded.scene) else "plain"
         simulation = build_simulation(scene, integrator=entry, dt=dt, solver={"type": solver})
         swing = _follow(simulation, scene.initial, steps, oracle, samples)
-        found["fastest"] = float(f"{starting_rate(scene):.6g}")
-        found["swing"] = float(f"{swing:.6g}")
+        record["fastest"] = float(f"{starting_rate(scene):.6g}")
+        record["swing"] = float(f"{swing:.6g}")
     except MbdError as error:
-        found["reason"] = f"{type(error).__name__}: {error}"
+        record["reason"] = f"{type(error).__name__}: {error}"
     series = {
         name: [float(f"{sample[k]:.6g}") for sample in samples]
         for k, name in enumerate(RunSample._fields)
     }
-    return {**found, "series": series, "wrong": _wrong(found, samples)}
+    return {**record, "series": series, "wrong": _wrong(record, samples)}
 
 
 def _follow(
@@ -179,26 +179,26 @@ def _follow(
     return swing
 
 
-def _wrong(found: Mapping[str, Any], samples: Sequence[RunSample]) -> str:
+def _wrong(record: Mapping[str, Any], samples: Sequence[RunSample]) -> str:
     """Why the run is wrong; empty if it is not."""
-    if found["reason"]:
-        return f"stopped: {found['reason']}"
+    if record["reason"]:
+        return f"stopped: {record['reason']}"
     if not np.isfinite(np.array(samples)).all():
         return "not finite"
     worst = max(samples, key=lambda sample: sample.open)
     if worst.open > CLOSED:
         return f"constraints are {worst.open:.3g} open at t = {worst.t:.6g} s"
-    worst, allowed = max(samples, key=lambda sample: sample.rate), _slow(found, samples)
+    worst, allowed = max(samples, key=lambda sample: sample.rate), _slow(record, samples)
     if worst.rate > allowed:
         text = f"constraints open with {worst.rate:.3g} per second at t = {worst.t:.6g} s"
         return f"{text}, {allowed:.2g} allowed"
     off = abs(samples[-1].energy)
-    if off > _STAYS * found["swing"]:
-        return f"energy off by {off:.3g} J of {found['swing']:.3g} J in the end"
+    if off > _STAYS * record["swing"]:
+        return f"energy off by {off:.3g} J of {record['swing']:.3g} J in the end"
     return ""
 
 
-def _slow(found: Mapping[str, Any], samples: Sequence[RunSample]) -> float:
+def _slow(record: Mapping[str, Any], samples: Sequence[RunSample]) -> float:
     """Rate of constraints that a method may leave [m/s or rad/s].
 
     Generalized-alpha keeps positions only: its velocities are off by what the trapezoidal rule
@@ -206,9 +206,9 @@ def _slow(found: Mapping[str, Any], samples: Sequence[RunSample]) -> float:
     """
     speed = max(sample.speed for sample in samples)
     rounded = _SLOW * (1.0 + speed)
-    if found["method"] != "generalized_alpha":
+    if record["method"] != "generalized_alpha":
         return rounded
-    return max(rounded, _TRUNCATED * (found["dt"] * found["fastest"]) ** 2 * speed)
+    return max(rounded, _TRUNCATED * (record["dt"] * record["fastest"]) ** 2 * speed)
 
 
 def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
@@ -244,13 +244,13 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
 
 def _table(runs: Sequence[Mapping[str, Any]]) -> Table:
     rows = []
-    for one in runs:
-        series, swing = one["series"], one.get("swing", math.nan)
+    for record in runs:
+        series, swing = record["series"], record.get("swing", math.nan)
         energy = np.abs(series["energy"] or [math.nan])
         shares = (f"{energy.max() / swing:.1e}", f"{energy[-1] / swing:.1e}")
         opened = [f"{max(series[name], default=math.nan):.1e}" for name in ("open", "rate")]
-        size = f"{one['steps']:.0e}", f"{one['dt']:g}"
-        rows.append([one["scene"], one["method"], *size, *shares, *opened])
+        size = f"{record['steps']:.0e}", f"{record['dt']:g}"
+        rows.append([record["scene"], record["method"], *size, *shares, *opened])
     columns = ["scene", "method", "steps", "dt [s]", "energy, largest", "energy, end"]
     columns += ["position violation [m, rad]", "velocity violation [1/s]"]
     return Table("Violations, energies relative to the largest kinetic energy", columns, rows)

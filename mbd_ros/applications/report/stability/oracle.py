@@ -245,7 +245,9 @@ def bilateral_rows(loaded: LoadedScene) -> list[Rows]:
     for entry, part in _constraints(loaded):
         if part.law.is_rigid:
             make = _KNOWN.get(entry["type"])
-            rows.append(_own(scene.robot, part) if make is None else make(scene.robot, entry))
+            rows.append(
+                _rows_of_part(scene.robot, part) if make is None else make(scene.robot, entry)
+            )
     return rows
 
 
@@ -263,7 +265,7 @@ def _constraints(loaded: LoadedScene) -> list[tuple[Entry, Any]]:
     return list(zip(entries, loaded.scene.constraints, strict=True))
 
 
-def _own(robot: Robot, part: Any) -> Rows:
+def _rows_of_part(robot: Robot, part: Any) -> Rows:
     k, rest = Kinematics(robot), np.zeros(robot.model.nv)
 
     def rows(data: Any, t: float, q: Array) -> Any:
@@ -295,11 +297,11 @@ def _loop_closure(robot: Robot, entry: Entry) -> Rows:
 
 def _frame_anchor(robot: Robot, entry: Entry) -> Rows:
     zero = (0.0, 0.0, 0.0)
-    held = _place(robot, entry["frame"], entry.get("point", zero), entry.get("rpy", zero))
+    anchor = _place(robot, entry["frame"], entry.get("point", zero), entry.get("rpy", zero))
     position, orientation = entry["position"] - robot.origin, entry.get("orientation")
 
     def rows(data: Any, t: float, q: Array) -> Any:
-        place = _at(data, held)
+        place = _at(data, anchor)
         if orientation is None:
             return place.translation - position
         wanted = pin.rpy.rpyToMatrix(np.array(orientation, dtype=float))

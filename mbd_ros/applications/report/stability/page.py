@@ -141,13 +141,13 @@ def _by_method(cells: Cells) -> Table:
 
 def _reasons(cells: Cells) -> Table:
     """Every reason of a stop, without its numbers, with an example."""
-    found: dict[str, list[str]] = {}
+    cells_by_reason: dict[str, list[str]] = {}
     for name, cell in cells:
         if cell["kind"] == STOPPED:
             reason = _ROW.sub("row ..", cell["text"].split("; last finite")[0])
             reason = _NUMBER.sub("..", _SCENE.sub(r"\1:", reason))
-            found.setdefault(reason, []).append(f"{name}, {cell['method']}")
-    ordered = sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0]))
+            cells_by_reason.setdefault(reason, []).append(f"{name}, {cell['method']}")
+    ordered = sorted(cells_by_reason.items(), key=lambda pair: (-len(pair[1]), pair[0]))
     rows = [[reason, str(len(where)), where[0]] for reason, where in ordered[:_SHOWN]]
     if rest := ordered[_SHOWN:]:
         rows.append(["others", str(sum(len(where) for _, where in rest)), ""])
@@ -172,15 +172,15 @@ def _text(
     kinds = Counter(cell["kind"] for _, cell in cells)
     counts = ", ".join(f"{kinds[kind]} {kind}" for kind in VERDICTS if kinds[kind])
     known = [row for row in (*rows, *drawn) if "span" in row]
-    whole = sum(row["known_until"] >= 0.999 * row["span"] for row in known)
+    complete = sum(row["known_until"] >= 0.999 * row["span"] for row in known)
     growth = [row["growth"] for row in known if math.isfinite(row["growth"])]
     worst = max(growth, default=1.0)
     return [
         f"{len(rows)} extreme scenes under every method and {len(drawn)} random scenes under "
         f"three methods and tiers and one multiple of the recommended step each: {counts}.",
         *MEANINGS,
-        f"Chaos: {whole} of {len(known)} motions are compared to their end; the others only for "
-        "as long as a perturbation grows less than 1e3-fold and both references agree, a time "
+        f"Chaos: {complete} of {len(known)} motions are compared to their end; the others only "
+        "for as long as a perturbation grows less than 1e3-fold and both references agree, a time "
         "that their labels name. The largest growth within what is compared is "
         f"{worst:.0f}-fold.",
     ]

@@ -112,10 +112,10 @@ def reference(scene: Scene, grid: Grid, known: Known | None = None) -> Reference
     """
     rate = starting_rate(scene)
     fine = Grid(grid.interval / FINE, FINE * grid.count)
-    found = first(scene, fine) if known is None else known(fine)
-    if not found.states:
-        raise SolveError(f"the reference does not begin: {found.reason}")
-    states = found.states[::FINE]
+    longest_motion = first(scene, fine) if known is None else known(fine)
+    if not longest_motion.states:
+        raise SolveError(f"the reference does not begin: {longest_motion.reason}")
+    states = longest_motion.states[::FINE]
     rates = rate, _largest_rate(scene, states, rate)
     size = _size(scene, states)
     growth = _growth(scene, grid, states, size)
@@ -127,13 +127,13 @@ def reference(scene: Scene, grid: Grid, known: Known | None = None) -> Reference
     return Reference(
         grid=grid,
         states=states,
-        fine=found.states,
+        fine=longest_motion.states,
         horizon=horizon,
         uncertain=max(difference[:horizon], default=np.inf),
         growth=growth[horizon - 1] if horizon else np.inf,
         second=second,
         size=size,
-        reason=found.reason,
+        reason=longest_motion.reason,
         rates=rates,
     )
 
@@ -211,14 +211,14 @@ def _fitting(interval: float, dt: float) -> float:
 
 def first(scene: Scene, grid: Grid) -> Motion:
     """Motion with the smallest tolerance that goes furthest."""
-    found = Motion([], "")
+    longest = Motion([], "")
     for tolerance in _TOLERANCES:
         further = motion(scene, {**_FIRST, "tolerance": tolerance}, grid.interval, grid)
-        if not found.states or len(further.states) > len(found.states):
-            found = further
+        if not longest.states or len(further.states) > len(longest.states):
+            longest = further
         if not further.reason:
             break
-    return found
+    return longest
 
 
 def starting_rate(scene: Scene) -> float:
@@ -285,7 +285,7 @@ def motion(
         grid: When to keep states.
         **others: `start`: state to begin with; `stabilization`: entry.
     """
-    found: list[State] = []
+    states: list[State] = []
     every = max(1, round(grid.interval / dt))
     try:
         start = others.pop("start", scene.initial)
@@ -293,7 +293,7 @@ def motion(
             scene, integrator=method, dt=dt, solver={"type": solver}, **others
         )
         for x in simulation.run(start, grid.span):
-            found.append(x)
+            states.append(x)
     except MbdError as error:
-        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
-    return Motion(found[::every], "", found)
+        return Motion(states[::every], f"{type(error).__name__}: {error}", states)
+    return Motion(states[::every], "", states)

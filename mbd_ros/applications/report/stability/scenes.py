@@ -371,16 +371,23 @@ def _loop(rng: Random, wanted: str, frames: tuple[str, str], places: list[Any]) 
 def _bounded(rng: Random, scene: Scene, kinds: list[str]) -> list[Entry]:
     """Joint stops around the initial positions, and dry friction."""
     parts: list[Entry] = []
-    for i, one in enumerate(scene.robot.joints):
-        q, size = float(scene.initial.q[one.q]), 0.1 if kinds[i] == "prismatic" else 0.5
+    for i, robot_joint in enumerate(scene.robot.joints):
+        q, size = float(scene.initial.q[robot_joint.q]), 0.1 if kinds[i] == "prismatic" else 0.5
         if rng.random() < 0.06:
-            room = 0.05 * abs(float(scene.initial.v[one.v])) + size * rng.uniform(0.02, 1.0, 2)
+            room = 0.05 * abs(float(scene.initial.v[robot_joint.v])) + size * rng.uniform(
+                0.02, 1.0, 2
+            )
             lower, upper = _rounded((q - room[0], q + room[1]))
-            stop = {"joint": one.name, "lower": lower, "upper": upper, "time_constant": 0.02}
+            stop = {
+                "joint": robot_joint.name,
+                "lower": lower,
+                "upper": upper,
+                "time_constant": 0.02,
+            }
             parts.append({"type": "joint_stop", **stop, "smoothed": True})
         if rng.random() < 0.04:
             limit = round(float(10.0 ** rng.uniform(-2.0, 1.0)), 4)
-            entry = {"type": "dry_friction", "joint": one.name, "limit": limit}
+            entry = {"type": "dry_friction", "joint": robot_joint.name, "limit": limit}
             parts.append({**entry, "smoothed": True})
     return parts
 

@@ -89,19 +89,19 @@ class _Run:
 
     def verdict(self, dt: float) -> Verdict:
         try:
-            found, error = self._attempt(dt)
+            motion, error = self._attempt(dt)
         except Exception as mistake:  # noqa: BLE001 - any other exception is what is looked for
             return Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
-        unfit = self._unfit(found)
+        unfit = self._unfit(motion)
         if unfit:
             return Verdict(WRONG, error, unfit)
-        if found.reason:
-            return Verdict(STOPPED, error, found.reason)
-        opened = self._opened(found.states)
+        if motion.reason:
+            return Verdict(STOPPED, error, motion.reason)
+        opened = self._opened(motion.states)
         if error <= ASKED and not opened:
             return Verdict(CONVERGED, error)
-        is_bounded = not opened and self._is_bounded(found.states)
-        if self._is_warned(found, dt):
+        is_bounded = not opened and self._is_bounded(motion.states)
+        if self._is_warned(motion, dt):
             return Verdict(BOUNDED if is_bounded else WARNED, error, opened)
         if opened:
             return Verdict(WRONG, error, opened)
@@ -116,13 +116,13 @@ class _Run:
     def _rate(self) -> float:
         return self._case.reference.rates[1]
 
-    def _is_warned(self, found: Motion, dt: float) -> bool:
+    def _is_warned(self, motion: Motion, dt: float) -> bool:
         """Whether `check` or `simulate` warns of this step."""
         scene = self._case.scene
         if linear_motion_longest_step(self._method, starting_motion(scene), dt) < math.inf:
             return True
         system = scene.system(solver={"type": self._tier})
-        return any(step_warnings(system, self._method, dt, found.every))
+        return any(step_warnings(system, self._method, dt, motion.every))
 
     def _smaller_steps(self, dt: float, error: float, is_bounded: bool) -> Verdict:
         """Whether shorter steps lead to the reference: at once, or in the end."""
@@ -130,11 +130,11 @@ class _Run:
         for halving in range(0 if self._is_adaptive else _HALVINGS):
             dt = fitted(self._case.reference.grid, 0.5 * dt)
             try:
-                found, after = self._attempt(dt)
+                motion, after = self._attempt(dt)
             except Exception as mistake:  # noqa: BLE001 - as above
                 return Verdict(WRONG, math.inf, f"{type(mistake).__name__}: {mistake}")
-            if self._ends_early(found):  # which asks for steps that are shorter still
-                stop = f"; with steps of {dt:.3g} s: {found.reason}"
+            if self._ends_early(motion):  # which asks for steps that are shorter still
+                stop = f"; with steps of {dt:.3g} s: {motion.reason}"
                 continue
             if after == math.inf:
                 continue
@@ -146,10 +146,10 @@ class _Run:
         text = f"off by {error:.3g}, and shorter steps do not help{stop}"
         return Verdict(UNKNOWN if stop and self._case.reference.reason else WRONG, error, text)
 
-    def _ends_early(self, found: Motion) -> bool:
+    def _ends_early(self, motion: Motion) -> bool:
         """Whether a run stopped before all that is known of the motion."""
-        return bool(found.reason) and (
-            not found.states or found.states[-1].t < self._case.reference.known[-1].t
+        return bool(motion.reason) and (
+            not motion.states or motion.states[-1].t < self._case.reference.known[-1].t
         )
 
     def _attempt(self, dt: float) -> tuple[Motion, float]:
@@ -161,17 +161,17 @@ class _Run:
         pairs = [(known[k], x) for k, x in places if k is not None and k < len(known)]
         return found, max((distance(case.scene, a, b, size) for a, b in pairs), default=math.inf)
 
-    def _unfit(self, found: Motion) -> str:
-        """What nothing excuses: numbers that are not finite, a stop that does not say where."""
-        if found.reason and not is_named(self._case, found.reason):
-            return f"stopped without saying where: {found.reason}"
-        for x in found.states:
+    def _unfit(self, motion: Motion) -> str:
+        """Return a fault that nothing excuses: numbers that are not finite, an unnamed stop."""
+        if motion.reason and not is_named(self._case, motion.reason):
+            return f"stopped without saying where: {motion.reason}"
+        for x in motion.states:
             if not (np.isfinite(x.q).all() and np.isfinite(x.v).all()):
                 return f"a state at t = {x.t:.6g} s is not finite"
         return ""
 
     def _opened(self, states: list[State]) -> str:
-        """What only a warning excuses: constraints that do not hold."""
+        """Return a fault that only a warning excuses: constraints that are violated."""
         oracle = self._case.oracle
         for x in [] if self._others.get("stabilization") else states:
             open_by = oracle.violation(x)
@@ -278,7 +278,7 @@ def step_on(case: Case, method: str, factor: float, dt: float = 0.0) -> float:
 
 
 def asked_step(method: str, rate: float, factor: float, dt: float = 0.0) -> float:
-    """What a run is asked for [s]; 0 for a method that chooses its steps.
+    """Return the step of a run [s]; 0 for a method that chooses its steps.
 
     Args:
         method: Key of `METHODS`.
@@ -315,13 +315,13 @@ def applicable(scene: Scene) -> list[str]:
 def tiers(scene: Scene, method: str) -> list[str]:
     """Tiers that serve a scene with a method, and differ."""
     has_couplings = bool(scene.couplings.dependent)
-    found = ["plain"]
+    names = ["plain"]
     if has_couplings and not scene.constraints:
-        found.append("kkt")
+        names.append("kkt")
     keeps_rows = method in ("rattle", "generalized_alpha")
     if (has_couplings or scene.has_loops) and not keeps_rows:
-        found.append("qp")
-    return found
+        names.append("qp")
+    return names
 
 
 def chooses_steps(method: str) -> bool:

@@ -71,12 +71,12 @@ class TreeDynamics:
 
     def needed(self, a: Sequence[Any]) -> list[Any]:
         """M a + h."""
-        found = self.forces(a)
+        torques = self.forces(a)
         for link in self._tree.links:
             for i, armature in enumerate(link.armature, link.v):
                 if not (isinstance(armature, float) and armature == 0.0):
-                    found[i] = found[i] + armature * a[i]
-        return found
+                    torques[i] = torques[i] + armature * a[i]
+        return torques
 
     def articulated(self, tau: Sequence[Any]) -> list[Any]:
         """Accelerations under joint forces, in a time linear in the links."""
@@ -95,10 +95,10 @@ def choices(
         v: Velocity, SX scalars.
         has_rows: Whether rows of frames stand in axes of the world.
     """
-    found = [TreeDynamics(tree, q, v, in_own_axes)]
+    forms = [TreeDynamics(tree, q, v, in_own_axes)]
     if all(link.kind != FREE for link in tree.links) and (has_rows or tree.nv <= LONG):
-        found.append(TreeDynamics(tree, q, v, in_world_axes))
-    return found
+        forms.append(TreeDynamics(tree, q, v, in_world_axes))
+    return forms
 
 
 def mass_matrix(tree: Tree, placed: Sequence[Placed]) -> dict[tuple[int, int], Any]:
@@ -106,28 +106,28 @@ def mass_matrix(tree: Tree, placed: Sequence[Placed]) -> dict[tuple[int, int], A
     beyond: list[Composite] = [(ca.SX(p.link.inertia.m), p.h, p.I) for p in placed]
     M: dict[tuple[int, int], Any] = {}
     for i in range(len(placed) - 1, -1, -1):
-        one, link = placed[i], placed[i].link
-        for own, (force, torque) in enumerate(_columns(one, beyond[i])):
-            _fill(M, placed, i, link.v + own, force, torque)
+        body, link = placed[i], placed[i].link
+        for diagonal, (force, torque) in enumerate(_columns(body, beyond[i])):
+            _fill(M, placed, i, link.v + diagonal, force, torque)
         if link.parent >= 0:
             m, h, about = beyond[link.parent]
-            more = _composite_above(one, *beyond[i])
+            more = _composite_above(body, *beyond[i])
             total = m + more[0], plus(h, more[1]), combined(about, more[2])
             beyond[link.parent] = total
     for link in tree.links:
-        for own, armature in enumerate(link.armature):
-            M[link.v + own, link.v + own] += armature
+        for diagonal, armature in enumerate(link.armature):
+            M[link.v + diagonal, link.v + diagonal] += armature
     return M
 
 
-def _columns(one: Placed, beyond: Composite) -> list[tuple[Vector, Vector]]:
+def _columns(body: Placed, beyond: Composite) -> list[tuple[Vector, Vector]]:
     """Force and torque that a unit acceleration of every own coordinate takes."""
     (m, h, about), axes = beyond, turns.matrix(((1, 0, 0), (0, 1, 0), (0, 0, 1)))
-    if one.link.kind == REVOLUTE:
-        return [(cross(one.axis, h), turns.through(about, one.axis))]
-    directions = axes if one.link.kind == FREE else (one.axis,)
+    if body.link.kind == REVOLUTE:
+        return [(cross(body.axis, h), turns.through(about, body.axis))]
+    directions = axes if body.link.kind == FREE else (body.axis,)
     columns = [(turns.times(m, axis), cross(h, axis)) for axis in directions]
-    if one.link.kind == FREE:
+    if body.link.kind == FREE:
         columns += [(cross(axis, h), turns.through(about, axis)) for axis in axes]
     return columns
 
@@ -142,24 +142,24 @@ def _fill(
 ) -> None:
     """Entries of a column: of its own link, and of all below it."""
     while True:
-        one = placed[i]
-        link = one.link
+        body = placed[i]
+        link = body.link
         if link.kind == FREE:
             for row, value in enumerate((*force, *torque), link.v):
                 M[max(row, column), min(row, column)] = value
             return
-        value = dot(one.axis, torque if link.kind == REVOLUTE else force)
+        value = dot(body.axis, torque if link.kind == REVOLUTE else force)
         M[max(link.v, column), min(link.v, column)] = value
         if link.parent < 0:
             return
-        force, torque = carried(one, force, torque)
+        force, torque = carried(body, force, torque)
         i = link.parent
 
 
-def _composite_above(one: Placed, m: Any, h: Vector, about: Matrix) -> Composite:
+def _composite_above(body: Placed, m: Any, h: Vector, about: Matrix) -> Composite:
     """A composite inertia about the origin of the parent, in its axes."""
-    h, about = turns.out(one.turn, h), turns.tensor_out(one.turn, about)
-    p, moved = one.offset, plus(h, turns.times(m, one.offset))
+    h, about = turns.out(body.turn, h), turns.tensor_out(body.turn, about)
+    p, moved = body.offset, plus(h, turns.times(m, body.offset))
     # I - [p x] [h x] - [h' x] [p x] with h' = h + m p; [a x] [b x] = b a' - (a . b) 1
     across = dot(p, h) + dot(moved, p)
     upper = {
@@ -181,34 +181,34 @@ def forward_dynamics(
         on_links: What they need without joint accelerations.
         tau: Generalized forces, one SX scalar a velocity.
     """
-    inertias, forces = [_rigid(one) for one in placed], list(on_links)
+    inertias, forces = [_rigid(body) for body in placed], list(on_links)
     pivots: list[_Pivot | None] = [None] * len(placed)
     a = [ZERO] * tree.nv
     for i in range(len(placed) - 1, -1, -1):
-        one, link = placed[i], placed[i].link
+        body, link = placed[i], placed[i].link
         if link.kind == FREE:
             at = slice(link.v, link.v + 6)
             a[at] = _freed(link, inertias[i], forces[i], tau[at])
             continue
-        pivot = pivots[i] = _pivot(one, inertias[i], forces[i], tau[link.v])
+        pivot = pivots[i] = _pivot(body, inertias[i], forces[i], tau[link.v])
         if link.parent >= 0:
-            left = _left(one, inertias[i], pivot)
-            push = pivot.share * pivot.rest
+            left = _left(body, inertias[i], pivot)
+            push = pivot.share * pivot.residual
             on = forces[i]
             needs = (
                 plus(on.force, turns.times(push, pivot.force)),
                 plus(on.torque, turns.times(push, pivot.torque)),
             )
             above = forces[link.parent]
-            forces[link.parent] = Needed(*map(plus, above, carried(one, *needs)))
-            inertias[link.parent] = inertias[link.parent].plus(_articulated_above(one, left))
+            forces[link.parent] = Needed(*map(plus, above, carried(body, *needs)))
+            inertias[link.parent] = inertias[link.parent].plus(_articulated_above(body, left))
     return _forward(placed, pivots, a)
 
 
-def _rigid(one: Placed) -> Articulated:
-    m, (x, y, z) = ca.SX(one.link.inertia.m), one.h
+def _rigid(body: Placed) -> Articulated:
+    m, (x, y, z) = ca.SX(body.link.inertia.m), body.h
     A = (m, ZERO, ZERO), (ZERO, m, ZERO), (ZERO, ZERO, m)
-    return Articulated(A, ((ZERO, z, -y), (-z, ZERO, x), (y, -x, ZERO)), one.I)
+    return Articulated(A, ((ZERO, z, -y), (-z, ZERO, x), (y, -x, ZERO)), body.I)
 
 
 class Articulated(NamedTuple):
@@ -230,19 +230,19 @@ class Articulated(NamedTuple):
 
 
 class _Pivot(NamedTuple):
-    """What the backward sweep leaves for the forward one, of a joint with one coordinate.
+    """Results of the backward sweep for the forward one, of a joint with one coordinate.
 
     Attributes:
         force: Force that a unit of joint acceleration takes, part of U.
         torque: Torque that it takes, the other part.
         share: 1 / (S' U + armature).
-        rest: Joint force that is left, less what links need.
+        residual: Joint force that is left, less what links need.
     """
 
     force: Vector
     torque: Vector
     share: Any
-    rest: Any
+    residual: Any
 
 
 def _freed(link: Link, inertia: Articulated, on: Needed, tau: Any) -> list[Any]:
@@ -256,37 +256,37 @@ def _freed(link: Link, inertia: Articulated, on: Needed, tau: Any) -> list[Any]:
     return SparseLdl(entries, range(6)).solve(right)
 
 
-def _pivot(one: Placed, inertia: Articulated, on: Needed, tau: Any) -> _Pivot:
-    axis, (A, B, D) = one.axis, inertia
-    if one.link.kind == REVOLUTE:
+def _pivot(body: Placed, inertia: Articulated, on: Needed, tau: Any) -> _Pivot:
+    axis, (A, B, D) = body.axis, inertia
+    if body.link.kind == REVOLUTE:
         force, torque = turns.through(B, axis), turns.through(D, axis)
-        own, needs = dot(axis, torque), dot(axis, on.torque)
+        diagonal, needs = dot(axis, torque), dot(axis, on.torque)
     else:
         force, torque = turns.through(A, axis), turns.through(turns.transposed(B), axis)
-        own, needs = dot(axis, force), dot(axis, on.force)
-    return _Pivot(force, torque, 1.0 / (own + one.link.armature[0]), tau - needs)
+        diagonal, needs = dot(axis, force), dot(axis, on.force)
+    return _Pivot(force, torque, 1.0 / (diagonal + body.link.armature[0]), tau - needs)
 
 
-def _left(one: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
-    """What a parent feels of a link whose joint gives way: I - U U' / d."""
+def _left(body: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
+    """Return the articulated inertia that a parent feels: I - U U' / d."""
     fs, ts = turns.times(pivot.share, pivot.force), turns.times(pivot.share, pivot.torque)
     A = _less(inertia.A, pivot.force, fs)
     B = combined(inertia.B, _outer(pivot.force, ts), -1)
     D = _less(inertia.D, pivot.torque, ts)
-    along = [i for i in range(3) if (one.axis[i] * one.axis[i] - 1.0).is_zero()]
+    along = [i for i in range(3) if (body.axis[i] * body.axis[i] - 1.0).is_zero()]
     if not along:
         return Articulated(A, B, D)
     # along a known axis a joint carries what its armature takes, and nothing without one
-    k, kept = along[0], one.link.armature[0] * pivot.share
-    if one.link.kind == REVOLUTE:
-        D = _with_cross(D, k, [kept * inertia.D[k][i] for i in range(3)])
-        column = [kept * inertia.B[i][k] for i in range(3)]
+    k, retained = along[0], body.link.armature[0] * pivot.share
+    if body.link.kind == REVOLUTE:
+        D = _with_cross(D, k, [retained * inertia.D[k][i] for i in range(3)])
+        column = [retained * inertia.B[i][k] for i in range(3)]
         B = tuple(  # type: ignore[assignment]
             tuple(column[i] if j == k else B[i][j] for j in range(3)) for i in range(3)
         )
     else:
-        A = _with_cross(A, k, [kept * inertia.A[k][i] for i in range(3)])
-        row = tuple(kept * inertia.B[k][j] for j in range(3))
+        A = _with_cross(A, k, [retained * inertia.A[k][i] for i in range(3)])
+        row = tuple(retained * inertia.B[k][j] for j in range(3))
         B = tuple(row if i == k else B[i] for i in range(3))  # type: ignore[assignment]
     return Articulated(A, B, D)
 
@@ -314,10 +314,10 @@ def _with_cross(A: Matrix, k: int, values: Sequence[Any]) -> Matrix:
     return _symmetric(upper)
 
 
-def _articulated_above(one: Placed, inertia: Articulated) -> Articulated:
+def _articulated_above(body: Placed, inertia: Articulated) -> Articulated:
     """An articulated inertia about the origin of the parent, in its axes."""
-    A, B, D = (turns.tensor_out(one.turn, part) for part in inertia)
-    x, y, z = one.offset
+    A, B, D = (turns.tensor_out(body.turn, part) for part in inertia)
+    x, y, z = body.offset
     P: Matrix = ((ZERO, -z, y), (z, ZERO, -x), (-y, x, ZERO))
     moved = combined(B, _product(A, P), -1)
     PB, PBt = _product(P, moved), _product(P, B)
@@ -335,17 +335,17 @@ def _product(A: Matrix, B: Matrix) -> Matrix:
 
 def _forward(placed: Sequence[Placed], pivots: Sequence[_Pivot | None], a: list[Any]) -> list[Any]:
     moves: list[tuple[Vector, Vector]] = []
-    for one, pivot in zip(placed, pivots, strict=True):
-        link = one.link
+    for body, pivot in zip(placed, pivots, strict=True):
+        link = body.link
         if pivot is None:
             moves.append((tuple(a[link.v : link.v + 3]), tuple(a[link.v + 3 : link.v + 6])))
             continue
         linear, angular = (NO_VECTOR, NO_VECTOR) if link.parent < 0 else moves[link.parent]
-        linear = turns.into(one.turn, minus(linear, cross(one.offset, angular)))
-        angular = turns.into(one.turn, angular)
+        linear = turns.into(body.turn, minus(linear, cross(body.offset, angular)))
+        angular = turns.into(body.turn, angular)
         carried_on = dot(pivot.force, linear) + dot(pivot.torque, angular)
-        a[link.v] = pivot.share * (pivot.rest - carried_on)
-        added = turns.times(a[link.v], one.axis)
+        a[link.v] = pivot.share * (pivot.residual - carried_on)
+        added = turns.times(a[link.v], body.axis)
         if link.kind == REVOLUTE:
             angular = plus(angular, added)
         else:

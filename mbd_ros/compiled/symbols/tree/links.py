@@ -91,11 +91,11 @@ def tree_of(model: Any) -> Tree:
     inertias += [_own_inertia(model, j, seats[j]) for j in range(1, model.njoints)]
     placed = [None] + [_placed(model, seats, j) for j in range(1, model.njoints)]
     for j in range(model.njoints - 1, 0, -1):
-        kept, given = split(_kind(model.joints[j]), inertias[j])
+        movable, fixed = split(_kind(model.joints[j]), inertias[j])
         R, p = _rotation(placed[j]), placed[j][3]
-        inertias[j] = kept
+        inertias[j] = movable
         up = int(model.parents[j])
-        inertias[up] = inertias[up].plus(given.seen_from(R, p))
+        inertias[up] = inertias[up].plus(fixed.seen_from(R, p))
     links = []
     for j in range(1, model.njoints):
         joint = model.joints[j]
@@ -167,10 +167,10 @@ def _axes(x: Array, z: Array) -> Array:
 
 
 def _own_inertia(model: Any, j: int, seat: Any) -> Inertia:
-    """Of the links of a joint, in the axes of its `seat`."""
-    given, back = model.inertias[j], seat.inverse()
-    about = given.inertia - given.mass * (skew(given.lever) @ skew(given.lever))
-    at_joint = Inertia(given.mass, given.mass * given.lever, about)
+    """Return the inertia of the links of a joint, in the axes of its `seat`."""
+    fixed, back = model.inertias[j], seat.inverse()
+    about = fixed.inertia - fixed.mass * (skew(fixed.lever) @ skew(fixed.lever))
+    at_joint = Inertia(fixed.mass, fixed.mass * fixed.lever, about)
     return at_joint.seen_from(back.rotation, back.translation)
 
 
@@ -182,9 +182,9 @@ def skew(v: Array) -> Array:
 
 def _placed(model: Any, seats: list[Any], j: int) -> tuple[float, float, float, Array]:
     """Turns about z, x and z, and the offset, from the axes of the parent."""
-    whole = seats[int(model.parents[j])].inverse() * model.jointPlacements[j] * seats[j]
-    R, size = whole.rotation, max(1.0, float(np.abs(whole.translation).max()))
-    offset = np.where(np.abs(whole.translation) <= _SNAP * size, 0.0, whole.translation)
+    pose = seats[int(model.parents[j])].inverse() * model.jointPlacements[j] * seats[j]
+    R, size = pose.rotation, max(1.0, float(np.abs(pose.translation).max()))
+    offset = np.where(np.abs(pose.translation) <= _SNAP * size, 0.0, pose.translation)
     if _kind(model.joints[j]) == FREE:
         return 0.0, 0.0, 0.0, offset
     sine = float(np.hypot(R[0, 2], R[1, 2]))
@@ -214,7 +214,7 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 
 def split(kind: str, inertia: Inertia) -> tuple[Inertia, Inertia]:
-    """What a link keeps, and what its joint cannot move, which its parent may have."""
+    """Split an inertia into the part of its link and the part that moves to its parent."""
     nothing = np.zeros(3), np.zeros((3, 3))
     if kind == FREE:
         return inertia, Inertia(0.0, *nothing)
@@ -222,8 +222,8 @@ def split(kind: str, inertia: Inertia) -> tuple[Inertia, Inertia]:
         return inertia._replace(I=nothing[1]), Inertia(0.0, nothing[0], inertia.I)
     along = 0.5 * (inertia.I[0, 0] + inertia.I[1, 1] - inertia.I[2, 2])
     h = inertia.h * np.array((0.0, 0.0, 1.0))
-    given = Inertia(inertia.m, h, np.diag((along, along, 0.0)))
-    return Inertia(0.0, inertia.h - h, inertia.I - given.I), given
+    fixed = Inertia(inertia.m, h, np.diag((along, along, 0.0)))
+    return Inertia(0.0, inertia.h - h, inertia.I - fixed.I), fixed
 
 
 def _rotation(placed: Any) -> Array:
@@ -249,11 +249,11 @@ def with_armature(tree: Tree, armature: Sequence[Any]) -> Tree:
 
 def with_own_inertias(tree: Tree, model: Any) -> Tree:
     """The same links with all of their own mass, for what is asked of wrenches between them."""
-    own = (
+    links = (
         link._replace(inertia=clean(_own_inertia(model, link.joint, link.seat)))
         for link in tree.links
     )
-    return tree._replace(links=tuple(own))
+    return tree._replace(links=tuple(links))
 
 
 class Inertia(NamedTuple):

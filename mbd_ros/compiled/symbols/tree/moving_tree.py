@@ -59,25 +59,25 @@ class Placed(NamedTuple):
 
 def in_own_axes(tree: Tree, q: Any) -> list[Placed]:
     """Every link in its own axes."""
-    found = []
+    bodies = []
     for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
         inertia = turns.vector(link.inertia.h), turns.matrix(link.inertia.I)
-        found.append(Placed(link, turn, offset, _UP, *inertia, None))
-    return found
+        bodies.append(Placed(link, turn, offset, _UP, *inertia, None))
+    return bodies
 
 
 def in_world_axes(tree: Tree, q: Any) -> list[Placed]:
     """Every link in the axes of the world, about its own origin; for trees without free bodies."""
-    found: list[Placed] = []
+    bodies: list[Placed] = []
     for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
-        before = turns.EYE if link.parent < 0 else found[link.parent].R
+        before = turns.EYE if link.parent < 0 else bodies[link.parent].R
         assert before is not None
-        R, way = turns.product(before, turn), turns.through(before, offset)
+        R, displacement = turns.product(before, turn), turns.through(before, offset)
         h = turns.through(R, turns.vector(link.inertia.h))
         about = turns.matrix_tensor(R, turns.matrix(link.inertia.I))
         axis = turns.through(R, _UP)
-        found.append(Placed(link, (), way, axis, h, about, R))
-    return found
+        bodies.append(Placed(link, (), displacement, axis, h, about, R))
+    return bodies
 
 
 def placements(tree: Tree, q: Any) -> list[tuple[Turn, Vector]]:
@@ -98,8 +98,8 @@ def _placement(link: Link, q: Any) -> tuple[Turn, Vector]:
     offset = turns.vector(link.offset)
     if link.kind == PRISMATIC:
         whole = [*before, *_constant(2, link.gamma)]
-        way = turns.out(whole, (ZERO, ZERO, position))
-        return whole, turns.plus(offset, way)
+        displacement = turns.out(whole, (ZERO, ZERO, position))
+        return whole, turns.plus(offset, displacement)
     return [*before, _about_axis(position, link.gamma)], offset
 
 
@@ -137,7 +137,9 @@ class WorldFrames:
     def __init__(self, tree: Tree, q: Sequence[Any], v: Sequence[Any]) -> None:
         self._links, self._q, self._v = tree.links, q, v
         self._placed = placements(tree, q)
-        self.axes, self.way, self.motion = map(cache, (self._axes, self._way, self._motion))
+        self.axes, self.displacement, self.motion = map(
+            cache, (self._axes, self._displacement, self._motion)
+        )
 
     def above(self, link: int) -> Iterator[int]:
         """A link and all below it, down to the one that stands on the world."""
@@ -164,13 +166,13 @@ class WorldFrames:
         """
         while link != down_to:
             yield link, offset
-            offset = plus(self.way(link), offset)
+            offset = plus(self.displacement(link), offset)
             link = self._links[link].parent
 
     def from_link(self, below: int, link: int, offset: Vector) -> Vector:
         """From the origin of a link that carries a point to the point; see `levers`."""
         while link != below:
-            offset = plus(self.way(link), offset)
+            offset = plus(self.displacement(link), offset)
             link = self._links[link].parent
         return offset
 
@@ -196,7 +198,7 @@ class WorldFrames:
             return turns.EYE
         return turns.product(self.axes(self._links[link].parent), self._placed[link][0])
 
-    def _way(self, link: int) -> Vector:
+    def _displacement(self, link: int) -> Vector:
         """From the origin of the parent to that of a link."""
         return turns.through(self.axes(self._links[link].parent), self._placed[link][1])
 
@@ -208,10 +210,10 @@ class WorldFrames:
             velocity = turns.through(R, tuple(self._v[link.v : link.v + 3]))
             spin = turns.through(R, tuple(self._v[link.v + 3 : link.v + 6]))
             return Moving(spin, velocity, NO_VECTOR, cross(spin, velocity))
-        before, way = self.motion(link.parent), self.way(number)
+        before, displacement = self.motion(link.parent), self.displacement(number)
         spin, turning = before.spin, before.turning
-        velocity = plus(before.velocity, cross(spin, way))
-        carried = turns.through(turns.bend(spin, turning), way)
+        velocity = plus(before.velocity, cross(spin, displacement))
+        carried = turns.through(turns.bend(spin, turning), displacement)
         acceleration = plus(before.acceleration, carried)
         along = turns.times(self._v[link.v], turns.transposed(R)[2])
         across = cross(spin, along)

@@ -1,4 +1,4 @@
-"""What joints pass on, as expressions: the backward sweep of Newton and Euler over all links.
+"""Joint reactions as expressions: the backward sweep of Newton and Euler over all links.
 
 The wrench of a joint on its child is what the links beyond need to move, less what else acts on
 them: forces on bodies, multipliers of constraints and, where they are asked for, pulls of muscles.
@@ -21,7 +21,7 @@ from mbd_ros.compiled.symbols.tree.newton_euler import Needed, carried, needed
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.kinematics.paths.polynomial_path import PolynomialPath
-from mbd_ros.methods.inverse_dynamics.reactions import Joined
+from mbd_ros.methods.inverse_dynamics.reactions import JointLink
 
 
 class SymbolicReactions:
@@ -48,7 +48,7 @@ class SymbolicReactions:
         every = [self._in_joint(sums, place) for place in places]
         return np.array(every, dtype=object).reshape(-1, 6)
 
-    def load(self, joined: Joined) -> list[Any]:
+    def load(self, joined: JointLink) -> list[Any]:
         """Six numbers of the load of a joint in axes of the link, where muscles pull on bodies.
 
         Raises:
@@ -66,18 +66,18 @@ class SymbolicReactions:
 
     @cached_property
     def _of_rows(self) -> list[Wrench]:
-        e, found, first = self._e, list[Wrench](), 0
+        e, wrenches, first = self._e, list[Wrench](), 0
         lam = numbers(e.symbols["l"])
-        for block in e.blocks(e.system.held.constraints.blocks):
-            own = lam[first : first + len(block.rows)]
+        for block in e.blocks(e.system.bilateral.constraints.blocks):
+            block_lam = lam[first : first + len(block.rows)]
             first += len(block.rows)
             with tracing(block.part):
-                found += block.part.wrenches(e.k, e.x, own)
-        return found
+                wrenches += block.part.wrenches(e.k, e.x, block_lam)
+        return wrenches
 
     def _of_loads(self, *, muscles: bool) -> list[Wrench]:
-        """What actuators exert on bodies, or all other loads."""
-        e, found = self._e, list[Wrench]()
+        """Return the wrenches of actuators on bodies, or those of all other loads."""
+        e, wrenches = self._e, list[Wrench]()
         count = len(e.system.loads.actuators)
         for part in e.loads[:count] if muscles else e.loads[count:]:
             with tracing(part):
@@ -86,29 +86,29 @@ class SymbolicReactions:
                         "its path is a polynomial of joints, so nobody knows where it pulls on "
                         "links; accepted for loads of joints: paths of points, without wraps"
                     )
-                found += part.wrenches(e.k, e.x, e.u)
-        return found
+                wrenches += part.wrenches(e.k, e.x, e.u)
+        return wrenches
 
     @cached_property
     def _moving(self) -> tuple[list[Placed], list[Needed]]:
         """All links in their own axes, and what their motion needs."""
         e = self._e
         tree, falls = with_own_inertias(e.tree, e.system.model), -e.tree.gravity
-        q, v = (scalars(column(one)) for one in (e.coordinates.q, e.coordinates.v))
-        a = [ca.SX(one) for one in e.coordinates.lifted(scalars(e.symbols["a"]))]
+        q, v = (scalars(column(value)) for value in (e.coordinates.q, e.coordinates.v))
+        a = [ca.SX(value) for value in e.coordinates.lifted(scalars(e.symbols["a"]))]
         placed = in_own_axes(tree, q)
         return placed, needed(tree, placed, v, a, turns.vector(falls))
 
     def _summed(self, wrenches: Sequence[Wrench]) -> list[Needed]:
-        """What all links from each one on need, less some wrenches, about its origin."""
+        """Return the wrench on each link from all links beyond it, less some wrenches."""
         placed, on_links = self._moving
         sums = list(on_links)
         for wrench in wrenches:
-            link, taken = self._on_link(wrench)
+            link, opposite = self._on_link(wrench)
             if link != WORLD:
                 force, torque = sums[link]
                 sums[link] = Needed(
-                    turns.minus(force, taken.force), turns.minus(torque, taken.torque)
+                    turns.minus(force, opposite.force), turns.minus(torque, opposite.torque)
                 )
         for i in range(len(placed) - 1, -1, -1):
             above = placed[i].link.parent
@@ -123,7 +123,7 @@ class SymbolicReactions:
         if link == WORLD:
             return WORLD, Needed(NO_VECTOR, NO_VECTOR)
         force, torque, point = (
-            _vector(one) for one in (wrench.force, wrench.torque, wrench.point)
+            _vector(value) for value in (wrench.force, wrench.torque, wrench.point)
         )
         arm = turns.minus(point, k.frames.from_link(WORLD, link, NO_VECTOR))
         about = turns.plus(torque, turns.cross(arm, force))
@@ -137,11 +137,11 @@ class SymbolicReactions:
         R = turns.matrix(seat.rotation)
         force, torque = turns.through(R, force), turns.through(R, torque)
         torque = turns.plus(torque, turns.cross(turns.vector(seat.translation), force))
-        found = np.empty(6, dtype=object)
-        found[:] = [number(ca.SX(one)) for one in (*force, *torque)]
-        return found
+        wrenches = np.empty(6, dtype=object)
+        wrenches[:] = [number(ca.SX(value)) for value in (*force, *torque)]
+        return wrenches
 
 
 def _vector(values: Any) -> Vector:
-    x, y, z = (ca.SX(plain(one)) for one in np.asarray(values, dtype=object).reshape(3))
+    x, y, z = (ca.SX(plain(value)) for value in np.asarray(values, dtype=object).reshape(3))
     return x, y, z

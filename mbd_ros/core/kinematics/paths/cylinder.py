@@ -93,7 +93,7 @@ class Cylinder(Surface):
         )
 
     def meets(self, a: Array, b: Array) -> Numbers:
-        """What a path from a to b does: `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP`, shape (n,)."""
+        """Return `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP` for paths from a to b, shape (n,)."""
         line = b - a
         flat = line[:, 0] ** 2 + line[:, 1] ** 2
         at = -(a[:, 0] * line[:, 0] + a[:, 1] * line[:, 1]) / np.where(flat > 0.0, flat, 1.0)

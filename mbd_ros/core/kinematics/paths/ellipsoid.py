@@ -51,7 +51,7 @@ class Ellipsoid(Surface):
         return inside
 
     def meets(self, a: Array, b: Array) -> Numbers:
-        """What a path from a to b does: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
+        """Return whether a path from a to b wraps: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
         hits, _ = crossing(a / self._a, b / self._a)
         return np.where(hits & ~(self.holds(a) | self.holds(b)), MUST_WRAP, NO_WRAP)
 
@@ -60,7 +60,7 @@ class Ellipsoid(Surface):
         return self._touch(a, b, code, self.sign)
 
     def plain(self, a: Array, b: Array) -> Touch:
-        """As `touch`, on whichever side is nearer."""
+        """Return the contact of `touch` on the nearer side."""
         return self._touch(a, b, self.meets(a, b), 0.0)
 
     def _touch(self, a: Array, b: Array, code: Numbers, sign: float) -> Touch:

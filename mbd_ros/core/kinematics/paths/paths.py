@@ -1,8 +1,8 @@
-"""Paths: lengths along which something pulls, and what a tension does to joints and bodies.
+"""Paths of cables and muscles: length, moment arms, and the forces of a tension on bodies.
 
-With the length l(q) and its Jacobian J = dl/dq, a tension F exerts tau = -J' F on the joints, so
-that F l' is the power that it takes from them. -J is what biomechanics calls the moment arm.
-A path knows no material: springs, cables, drives and muscles are functions of l, l' and inputs.
+A tension F along a path of length l(q) with the Jacobian J = dl/dq exerts tau = -J' F on the
+joints and takes the power F l' from them. -J are the moment arms. A path has no material
+properties: springs, cables, drives and muscles are functions of l, l' and inputs.
 
 Source: M. A. Sherman, A. Seth, S. L. Delp, What is a moment arm? Calculating muscle effectiveness
 in biomechanical models using generalized coordinates, ASME IDETC 2013, DETC2013-13633.
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 
 class Path:
-    """A length that depends on the configuration.
+    """A path whose length depends on the configuration.
 
     Attributes:
-        name: Unique in the scene; empty for a path that stands in the entry of a part.
-        over: What it goes over, for people.
-        wraps: Surfaces that it may go over.
-        reaches: First and last point of each of them.
-        reads: What its methods but `drift` read of k at most; `drift` reads `Reads.DRIFT`.
+        name: Unique name in the scene; empty for a path in the entry of a part.
+        over: Frames or joints of the path, for messages.
+        wraps: Surfaces that the path may wrap over.
+        reaches: First and last point of the path beside each surface.
+        reads: Level of k that its methods read; `drift` reads `Reads.DRIFT`.
     """
 
     name: str = ""
@@ -45,40 +45,41 @@ class Path:
     reaches: Sequence[Reach] = ()
 
     def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]; reads positions at most."""
+        """Return the length l [m]; it reads positions only."""
         raise NotImplementedError
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and J = dl/dq, shape (nv,)."""
+        """Return the length l [m] and J = dl/dq, shape (nv,)."""
         raise NotImplementedError
 
     def drift(self, k: Kinematics, x: State) -> float:
-        """J' v: the l'' at zero joint acceleration [m/s^2]."""
+        """Return J' v, the l'' at zero joint acceleration [m/s^2]."""
         raise NotImplementedError
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies; what it exerts in joints is left out."""
+        """Return the forces of a tension of 1 N on bodies, without its torques in joints."""
         return ()
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
-        """Where it runs: corners of lines, in the world less `Robot.origin` [m], shape (n, 3)."""
+        """Return polylines of the path, relative to `Robot.origin` [m], shape (n, 3) each."""
         return ()
 
     def corners(self) -> Sequence[ViaPoint]:
-        """All points of its lines, there or not; none where it has more than these and `wraps`."""
+        """Return all points, active or not; empty if the path is more than points and `wraps`."""
         return ()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples, shapes (n,) and (n, nv)."""
+        """Return l [m] and J of n samples, shapes (n,) and (n, nv)."""
         raise NotImplementedError
 
 
 class Pull(NamedTuple):
-    """What a tension of 1 N exerts on a body.
+    """Force of a tension of 1 N on a body.
 
     Attributes:
-        point: Where it acts, in the world less `Robot.origin` [m], shape (3,).
-        force: In world axes [N per N], shape (3,).
+        frame: Name of the link.
+        point: Point of application relative to `Robot.origin` [m], shape (3,).
+        force: Force in world axes [N per N], shape (3,).
     """
 
     frame: str
@@ -87,12 +88,13 @@ class Pull(NamedTuple):
 
 
 class JointPath(Path):
-    """A sum of functions of joint positions: l = sum f_i(q_i), as of tendons over pulleys.
+    """Sum of functions of joint positions: l = sum f_i(q_i), such as a tendon over pulleys.
 
     The tension acts between parent and child of each joint.
 
     Args:
-        terms: Joint -> its f, with f' and f'' [m, m per rad or m, ..].
+        robot: The robot.
+        terms: Joint -> function that returns f, f' and f'' [m, m per rad or m, ..].
     """
 
     def __init__(self, robot: Robot, terms: Mapping[str, CouplingFunction]) -> None:
@@ -103,11 +105,11 @@ class JointPath(Path):
         self._nv = int(robot.model.nv)
 
     def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
+        """Return l [m]."""
         return sum(function(k.item(x.q, joint.q))[0] for joint, function in self._terms)
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and its slopes f_i', shape (nv,)."""
+        """Return l [m] and J, whose entries are f_i', shape (nv,)."""
         length, slope = 0.0, k.zeros(self._nv)
         for joint, function in self._terms:
             value, slope[joint.v], _ = function(k.item(x.q, joint.q))
@@ -115,15 +117,15 @@ class JointPath(Path):
         return length, slope
 
     def drift(self, k: Kinematics, x: State) -> float:
-        """The sum of f_i'' v_i^2 [m/s^2]."""
-        bent = 0.0
+        """Return the sum of f_i'' v_i^2 [m/s^2]."""
+        drift = 0.0
         for joint, function in self._terms:
             rate = k.item(x.v, joint.v)
-            bent += function(k.item(x.q, joint.q))[2] * rate * rate
-        return bent
+            drift += function(k.item(x.q, joint.q))[2] * rate * rate
+        return drift
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and its slopes of n samples."""
+        """Return l [m] and J of n samples."""
         lengths, slopes = np.zeros(len(k.q)), np.zeros((len(k.q), self._nv))
         for joint, function in self._terms:
             value, slopes[:, joint.v], _ = function(k.q[:, joint.q])
@@ -132,10 +134,10 @@ class JointPath(Path):
 
 
 class JoinedPaths(Path):
-    """Paths one behind the other under the same tension: l is their sum.
+    """Paths in series with the same tension: l is the sum of their lengths.
 
     Args:
-        paths: At least one.
+        paths: Paths, at least one.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
@@ -144,11 +146,11 @@ class JoinedPaths(Path):
         self.reads = max(path.reads for path in paths)
 
     def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
+        """Return l [m]."""
         return sum(path.length(k, x) for path in self._paths)
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and J, shape (nv,)."""
+        """Return l [m] and J, shape (nv,)."""
         length, slope = self._paths[0].measured(k, x)
         for path in self._paths[1:]:
             more, slopes = path.measured(k, x)
@@ -156,19 +158,19 @@ class JoinedPaths(Path):
         return length, slope
 
     def drift(self, k: Kinematics, x: State) -> float:
-        """J' v [m/s^2]."""
+        """Return J' v [m/s^2]."""
         return sum(path.drift(k, x) for path in self._paths)
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies."""
+        """Return the forces of a tension of 1 N on bodies."""
         return tuple(pull for path in self._paths for pull in path.pulls(k, x))
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
-        """Corners of all lines."""
+        """Return the polylines of all paths."""
         return tuple(line for path in self._paths for line in path.lines(k, x))
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples."""
+        """Return l [m] and J of n samples."""
         lengths, slopes = zip(*(path.sampled(k) for path in self._paths), strict=True)
         return np.sum(lengths, axis=0), np.sum(slopes, axis=0)
 
@@ -177,10 +179,13 @@ class PathBatch:
     """All paths of a scene, evaluated for all samples at once.
 
     Args:
-        search: As for `SampledKinematics`; numpy's own by default.
+        robot: The robot.
+        couplings: Its couplings.
+        paths: Paths by name.
+        search: Search for shortest paths, see `SampledKinematics`; a numpy version by default.
 
     Attributes:
-        names: Of the paths, in the order of the results.
+        names: Names of the paths, in the order of the results.
     """
 
     def __init__(
@@ -199,14 +204,14 @@ class PathBatch:
         return len(self._couplings.v_index)
 
     def evaluate(self, y: Array, w: Array | None = None) -> PathSamples:
-        """Lengths, speeds and moment arms.
+        """Return lengths, speeds and moment arms.
 
         Args:
             y: Independent coordinates, shape (n, ny).
-            w: Independent velocities, shape (n, nv_y); 0 where None.
+            w: Independent velocities, shape (n, nv_y); 0 by default.
 
         Raises:
-            SolveError: A geodesic is not found.
+            SolveError: The search for a geodesic failed.
         """
         q, slopes = self._expanded(y)
         k, n = SampledKinematics(self._robot, q, self._joints, self._search), len(y)
@@ -224,7 +229,7 @@ class PathBatch:
         return PathSamples(lengths, speeds, by_path)
 
     def _expanded(self, y: Array) -> tuple[Array, list[Array]]:
-        """All coordinates, shape (n, nq), and the slopes of couplings."""
+        """Return all coordinates, shape (n, nq), and the slopes of couplings."""
         model, n = self._robot.model, len(y)
         q, still = np.empty((model.nq, n)), np.zeros((model.nv, n))
         q[self._couplings.q_index] = y.T
@@ -233,13 +238,13 @@ class PathBatch:
 
 
 class PathSamples(NamedTuple):
-    """What paths do in n samples.
+    """Lengths, speeds and moment arms of paths in n samples.
 
     Attributes:
-        lengths: [m], shape (n, paths).
-        speeds: [m/s], shape (n, paths).
-        arms: Moment arms -dl/dy by independent coordinate, dependent joints moving along
-            [m or -], shape (n, paths, nv_y).
+        lengths: Lengths [m], shape (n, paths).
+        speeds: Rates of the lengths [m/s], shape (n, paths).
+        arms: Moment arms -dl/dy of independent coordinates, including the motion of dependent
+            joints [m or -], shape (n, paths, nv_y).
     """
 
     lengths: Array

@@ -1,7 +1,7 @@
-"""Straight lines from point to point, of points that are always there and of others.
+"""Paths of straight lines through points, including points that are only sometimes active.
 
-A point that is there only while a joint is in an interval makes two paths of one, see
-`SwitchedPath`; `path_through` builds the path of all points and wraps.
+A point that is active only while a joint is in an interval splits the path into two, see
+`SwitchedPath`. `path_through` builds a path from all points and wraps.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from mbd_ros.errors import ModelError
 if TYPE_CHECKING:
     from mbd_ros.core.kinematics.paths.wrap_surface import Wrap
 
-MAX_SWITCHED = 8  # points that come and go: each doubles the number of paths
+MAX_SWITCHED = 8  # points with an interval; each doubles the number of paths
 
 
 class PointPath(Path):
-    """Straight lines through points, without friction: one tension in all of them.
+    """Straight lines through points without friction, all with the same tension.
 
-    A line between points that coincide has no direction and pulls nowhere.
+    A line between coincident points has no direction and exerts no force.
 
     Args:
-        points: Two or more, whatever their `within` says.
+        robot: The robot.
+        points: Two or more points; their intervals `within` are ignored.
     """
 
     reads = Reads.JACOBIAN
@@ -40,30 +41,32 @@ class PointPath(Path):
     def __init__(self, robot: Robot, points: Sequence[ViaPoint]) -> None:
         lengths = [_rigid(robot, *ends) for ends in itertools.pairwise(points)]
         beside = itertools.pairwise([0.0, *lengths, 0.0])
-        asks = [point.moves and None in pair for point, pair in zip(points, beside, strict=True)]
-        ends = zip(points, [0.0, *lengths], asks, strict=True)
-        self._first, *self._rest = (_End(*end) for end in ends)
+        needs_jacobian = [
+            point.moves and None in pair for point, pair in zip(points, beside, strict=True)
+        ]
+        ends = zip(points, [0.0, *lengths], needs_jacobian, strict=True)
+        self._first, *self._others = (_End(*end) for end in ends)
         self.over = " - ".join(point.frame for point in points)
         self._nv = int(robot.model.nv)
 
     def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
+        """Return l [m]."""
         length: Any = 0.0
         begin = self._first.point.position(k, x)
-        for point, rigid, _ in self._rest:
+        for point, rigid, _ in self._others:
             end = point.position(k, x)
             length += k.hypot(end - begin) if rigid is None else rigid
             begin = end
         return length
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and J, shape (nv,): the velocities of both ends of every line along it."""
+        """Return l [m] and J, shape (nv,), from the velocities of the ends along each line."""
         length: Any = 0.0
         slope: Any = None
-        point, _, asks = self._first
-        begin, at_begin = point.position(k, x), point.jacobian(k, x) if asks else None
-        for point, rigid, asks in self._rest:
-            end, at_end = point.position(k, x), point.jacobian(k, x) if asks else None
+        point, _, needs_jacobian = self._first
+        begin, at_begin = point.position(k, x), point.jacobian(k, x) if needs_jacobian else None
+        for point, rigid, needs_jacobian in self._others:
+            end, at_end = point.position(k, x), point.jacobian(k, x) if needs_jacobian else None
             if rigid is None:
                 distance, direction = _along(k, end - begin)
                 step = 0.0 if at_end is None else k.dot(direction, at_end)
@@ -76,54 +79,54 @@ class PointPath(Path):
         return length, k.zeros(self._nv) if slope is None else slope
 
     def drift(self, k: Kinematics, x: State) -> float:
-        """J' v: the sum of n . (p_b'' - p_a'') + (|w|^2 - (n . w)^2) / d, w = p_b' - p_a'."""
-        bent: Any = 0.0
-        for (a, _, _), (b, rigid, _) in itertools.pairwise((self._first, *self._rest)):
+        """Return J' v, the sum of n (p_b'' - p_a'') + (|w|^2 - (n w)^2) / d with w = v_b - v_a."""
+        drift: Any = 0.0
+        for (a, _, _), (b, rigid, _) in itertools.pairwise((self._first, *self._others)):
             if rigid is None:
                 distance, n = _along(k, b.position(k, x) - a.position(k, x))
                 w = b.velocity(k, x) - a.velocity(k, x)
                 across = w - n * k.dot(n, w)
                 turn = k.dot(across, across) / k.where(distance > 0.0, distance, 1.0)
-                bent += k.dot(n, b.acceleration(k, x) - a.acceleration(k, x))
-                bent += k.where(distance > 0.0, turn, 0.0)
-        return bent
+                drift += k.dot(n, b.acceleration(k, x) - a.acceleration(k, x))
+                drift += k.where(distance > 0.0, turn, 0.0)
+        return drift
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """At every point, along the lines that meet there."""
-        points = [end.point for end in (self._first, *self._rest)]
+        """Return the force at every point, along its adjacent lines."""
+        points = [end.point for end in (self._first, *self._others)]
         places = [point.position(k, x) for point in points]
-        ways = [_along(k, b - a)[1] for a, b in itertools.pairwise(places)]
-        forces = [b - a for a, b in itertools.pairwise([np.zeros(3), *ways, np.zeros(3)])]
+        directions = [_along(k, b - a)[1] for a, b in itertools.pairwise(places)]
+        forces = [b - a for a, b in itertools.pairwise([np.zeros(3), *directions, np.zeros(3)])]
         triples = zip(points, places, forces, strict=True)
         return tuple(Pull(point.frame, place, force) for point, place, force in triples)
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
-        """All points."""
-        return (np.array([end.point.position(k, x) for end in (self._first, *self._rest)]),)
+        """Return all points."""
+        return (np.array([end.point.position(k, x) for end in (self._first, *self._others)]),)
 
     def corners(self) -> Sequence[ViaPoint]:
-        """All points."""
-        return [end.point for end in (self._first, *self._rest)]
+        """Return all points."""
+        return [end.point for end in (self._first, *self._others)]
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples."""
+        """Return l [m] and J of n samples."""
         points = self.corners()
         places = np.stack([point.sampled(k) for point in points], axis=1)
-        ways = places[:, 1:] - places[:, :-1]
-        rigid = [end.length for end in self._rest]
-        lengths = np.sqrt((ways * ways).sum(axis=-1))
-        ways /= np.where(lengths > 0.0, lengths, 1.0)[..., None]
+        directions = places[:, 1:] - places[:, :-1]
+        rigid = [end.length for end in self._others]
+        lengths = np.sqrt((directions * directions).sum(axis=-1))
+        directions /= np.where(lengths > 0.0, lengths, 1.0)[..., None]
         for i, length in enumerate(rigid):
             if length is not None:
-                lengths[:, i], ways[:, i] = length, 0.0
+                lengths[:, i], directions[:, i] = length, 0.0
         change = np.zeros(places.shape)
-        change[:, 1:] += ways
-        change[:, :-1] -= ways
+        change[:, 1:] += directions
+        change[:, :-1] -= directions
         return lengths.sum(axis=-1), slopes_of(k, points, places, change)
 
 
 def _rigid(robot: Robot, a: ViaPoint, b: ViaPoint) -> float | None:
-    """Distance of two points where no joint changes it [m], else None."""
+    """Return the distance of two points if no joint changes it [m], otherwise None."""
     (joint_a, at_a), (joint_b, at_b) = (robot.places.points[p.point.number] for p in (a, b))
     if joint_a != joint_b or not (a.is_held and b.is_held):
         return None
@@ -135,12 +138,12 @@ class _End(NamedTuple):
 
     Attributes:
         length: Length of the line where no joint changes it [m], else None.
-        asks: Whether its velocity changes the length of the path.
+        needs_jacobian: Whether its velocity changes the length of the path.
     """
 
     point: ViaPoint
     length: float | None
-    asks: bool
+    needs_jacobian: bool
 
 
 def _along(k: Kinematics, line: Array) -> tuple[float, Array]:
@@ -170,7 +173,7 @@ def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: Sequence[Wrap]
     moving = any(wrap.point.moves for wrap in wraps)
     if not moving and all(_rigid(robot, points[0], point) is not None for point in points[1:]):
         frames = " and ".join(f"'{point.frame}'" for point in points)
-        raise ModelError(f"frames {frames} do not move against each other")
+        raise ModelError(f"frames {frames} have no relative motion")
     return _through(robot, points, switched, [(wrap, *_between(wrap, points)) for wrap in wraps])
 
 
@@ -226,19 +229,19 @@ class SwitchedPath(Path):
         self.over = inside.over
 
     def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
-        return self._asked(k, x, "length")
+        """Return l [m]."""
+        return self._evaluate(k, x, "length")
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        return self._asked(k, x, "measured")
+        return self._evaluate(k, x, "measured")
 
     def drift(self, k: Kinematics, x: State) -> float:
         """J' v [m/s^2]."""
-        return self._asked(k, x, "drift")
+        return self._evaluate(k, x, "drift")
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies; of both paths where nobody knows which it is."""
+        """Return the forces of a tension of 1 N on bodies, for both paths while either may act."""
         there = k.where(self._interval.holds(k, x), 1.0, 0.0)
         shares = (self._inside, there), (self._outside, 1.0 - there)
         return tuple(
@@ -250,14 +253,14 @@ class SwitchedPath(Path):
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
         """Corners of the path that there is."""
-        return self._asked(k, x, "lines")
+        return self._evaluate(k, x, "lines")
 
     def corners(self) -> Sequence[ViaPoint]:
         """All points of the path inside, which has more than the other one; none with wraps."""
         return () if self._inside.wraps else self._inside.corners()
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples."""
+        """Return l [m] and J of n samples."""
         there = self._interval.sampled(k)
         if there.all() or not there.any():
             return (self._inside if there.all() else self._outside).sampled(k)
@@ -267,7 +270,7 @@ class SwitchedPath(Path):
         lengths[~there], slopes[~there] = outside
         return lengths, slopes
 
-    def _asked(self, k: Kinematics, x: State, what: str) -> Any:
+    def _evaluate(self, k: Kinematics, x: State, what: str) -> Any:
         inside, outside = getattr(self._inside, what), getattr(self._outside, what)
         there = self._interval.holds(k, x)
         return k.either(there, lambda: inside(k, x), lambda: outside(k, x))

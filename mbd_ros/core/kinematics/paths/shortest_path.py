@@ -64,12 +64,15 @@ def shortest_path(
 
 def _plain(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
     """From guesses on the nearer side, between what is on either side of a surface."""
-    lasts = [one.outwards(arc.end) for one, arc in zip(over, arcs, strict=True)]
-    firsts = [one.outwards(arc.start) for one, arc in zip(over, arcs, strict=True)]
+    lasts = [touched.outwards(arc.end) for touched, arc in zip(over, arcs, strict=True)]
+    firsts = [touched.outwards(arc.start) for touched, arc in zip(over, arcs, strict=True)]
     ends = zip(over, (a, *lasts[:-1]), (*firsts[1:], b), strict=True)
     starts = tuple(
-        Arc.along(one.surface, *one.surface.plain(one.inwards(begin), one.inwards(end))[1:])
-        for one, begin, end in ends
+        Arc.along(
+            touched.surface,
+            *touched.surface.plain(touched.inwards(begin), touched.inwards(end))[1:],
+        )
+        for touched, begin, end in ends
     )
     return newton_path(a, b, over, starts)
 
@@ -99,11 +102,11 @@ def _astray(
     a: Array,
     b: Array,
     over: Sequence[Placed],
-    found: tuple[Sequence[Arc], Sequence[Arc]],
+    solution: tuple[Sequence[Arc], Sequence[Arc]],
     checks_side: bool,
 ) -> Mask:
     """Samples without a path, off its side, or with a longer one than the guess, shape (n,)."""
-    arcs, guess = found
+    arcs, guess = solution
     away: Mask = np.isnan(arcs[0].length)
     for one, arc in zip(over, arcs, strict=True):
         if one.surface.sign and not one.surface.is_closed_form and checks_side:
@@ -144,7 +147,7 @@ def newton_path(
     Returns:
         The geodesics; their length is NaN where Newton's method does not get there.
     """
-    found = [Arc(*(value.copy() for value in arc)) for arc in starts]
+    path_arcs = [Arc(*(value.copy() for value in arc)) for arc in starts]
     left = np.arange(len(a))
     arcs, share = tuple(starts), np.ones(len(a))
     steps, best = np.zeros((len(a), 4 * len(over))), np.full(len(a), np.inf)
@@ -161,18 +164,18 @@ def newton_path(
         steps[better] = -new
         done = (best < _TOLERANCE) | stuck
         if done.any():
-            for to, arc in zip(found, arcs, strict=True):
+            for to, arc in zip(path_arcs, arcs, strict=True):
                 for whole, part in zip(to, arc, strict=True):
                     whole[left[done]] = part[done]
             if done.all():
-                return tuple(found)
+                return tuple(path_arcs)
             on = ~done
             left, a, b, steps, best, share = (v[on] for v in (left, a, b, steps, best, share))
             over = [one.of(on) for one in over]
             arcs = tuple(arc.of(on) for arc in arcs)
-    for arc in found:
+    for arc in path_arcs:
         arc.length[left] = np.nan
-    return tuple(found)
+    return tuple(path_arcs)
 
 
 def _stepped(over: Sequence[Placed], arcs: Sequence[Arc], steps: Array) -> tuple[Arc, ...]:
@@ -217,7 +220,7 @@ def link(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> t
     size = 4 * len(over)
     errors, slopes = np.zeros((len(a), size)), np.zeros((len(a), size, size))
     for i, (first, last) in enumerate(ends):
-        own = slice(4 * i, 4 * i + 4)
+        columns = slice(4 * i, 4 * i + 4)
         before, after = lines[i], lines[i + 1]
         for rows, contact, line, sign in (
             (slice(4 * i, 4 * i + 2), first, before, 1.0),
@@ -225,8 +228,8 @@ def link(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> t
         ):
             errors[:, rows] = np.einsum("nfi,ni->nf", contact.frame, line.direction)
             flat = _flat(contact.frame, line)
-            slopes[:, rows, own] += sign * flat @ contact.moves
-            slopes[:, rows, own] += np.einsum("nfik,ni->nfk", contact.turns, line.direction)
+            slopes[:, rows, columns] += sign * flat @ contact.moves
+            slopes[:, rows, columns] += np.einsum("nfik,ni->nfk", contact.turns, line.direction)
             j = i - 1 if sign > 0.0 else i + 1
             if 0 <= j < len(over):
                 other = ends[j][1] if sign > 0.0 else ends[j][0]

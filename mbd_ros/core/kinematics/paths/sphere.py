@@ -40,7 +40,7 @@ class Sphere(Surface):
         return inside
 
     def meets(self, a: Array, b: Array) -> Numbers:
-        """What a path from a to b does: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
+        """Return whether a path from a to b wraps: `NO_WRAP` or `MUST_WRAP`, shape (n,)."""
         hits, _ = crossing(a, b, self.size)
         return np.where(hits & ~(self.holds(a) | self.holds(b)), MUST_WRAP, NO_WRAP)
 

@@ -49,7 +49,7 @@ class Torus(Surface):
         return inside
 
     def meets(self, a: Array, b: Array) -> Numbers:
-        """What a path from a to b does: `NO_WRAP` or `MAY_WRAP`, shape (n,)."""
+        """Return whether a path from a to b wraps: `NO_WRAP` or `MAY_WRAP`, shape (n,)."""
         near = self._closest(a, b)
         code = self._cylinder.meets(*self._beside(near, a, b)[2:])
         if self.sign:

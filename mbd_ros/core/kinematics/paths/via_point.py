@@ -52,23 +52,23 @@ class ViaPoint:
         return k.position(self.point)
 
     def velocity(self, k: Kinematics, x: State) -> Array:
-        """Its velocity [m/s], shape (3,)."""
+        """Return its velocity [m/s], shape (3,)."""
         return k.velocity(self.point)
 
     def acceleration(self, k: Kinematics, x: State) -> Array:
-        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
+        """Return its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
         return k.acceleration(self.point)
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """From joint velocities to its velocity, shape (3, nv)."""
+        """Return the map from joint velocities to its velocity, shape (3, nv)."""
         return k.jacobian(self.point)
 
     def sampled(self, k: SampledKinematics) -> Array:
-        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
+        """Return its positions in n samples relative to `Robot.origin` [m], shape (n, 3)."""
         return k.position(self.point)
 
     def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
-        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
+        """Return the coordinate that moves it on its link, and its derivative, shape (n, 3)."""
         return None
 
 
@@ -115,61 +115,61 @@ class MovingViaPoint(ViaPoint):
         ]
 
     def position(self, k: Kinematics, x: State) -> Array:
-        """Where it is, less `Robot.origin` [m], shape (3,)."""
+        """Return its position relative to `Robot.origin` [m], shape (3,)."""
         q, begin = k.item(x.q, self._joint.q), k.position(self.point)
         return begin + sum((k.position(end) - begin) * f(q)[0] for end, f in self._axes)
 
     def velocity(self, k: Kinematics, x: State) -> Array:
-        """Its velocity [m/s], shape (3,)."""
+        """Return its velocity [m/s], shape (3,)."""
         q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
         begin, velocity = k.position(self.point), k.velocity(self.point)
-        whole = velocity
+        total = velocity
         for end, function in self._axes:
             s, slope, _ = function(q)
-            whole = whole + (k.velocity(end) - velocity) * s
-            whole = whole + (k.position(end) - begin) * (slope * rate)
-        return whole
+            total = total + (k.velocity(end) - velocity) * s
+            total = total + (k.position(end) - begin) * (slope * rate)
+        return total
 
     def acceleration(self, k: Kinematics, x: State) -> Array:
-        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
+        """Return its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
         q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
         begin, velocity = k.position(self.point), k.velocity(self.point)
         acceleration = k.acceleration(self.point)
-        whole = acceleration
+        total = acceleration
         for end, function in self._axes:
             s, slope, curvature = function(q)
-            whole = whole + (k.acceleration(end) - acceleration) * s
-            whole = whole + (k.velocity(end) - velocity) * (2.0 * slope * rate)
-            whole = whole + (k.position(end) - begin) * (curvature * rate * rate)
-        return whole
+            total = total + (k.acceleration(end) - acceleration) * s
+            total = total + (k.velocity(end) - velocity) * (2.0 * slope * rate)
+            total = total + (k.position(end) - begin) * (curvature * rate * rate)
+        return total
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
-        """From joint velocities to its velocity, shape (3, nv)."""
+        """Return the map from joint velocities to its velocity, shape (3, nv)."""
         q, begin, jacobian = (
             k.item(x.q, self._joint.q),
             k.position(self.point),
             k.jacobian(self.point),
         )
-        whole, along = jacobian, 0.0
+        total, along = jacobian, 0.0
         for end, function in self._axes:
             s, slope, _ = function(q)
-            whole = whole + (k.jacobian(end) - jacobian) * s
+            total = total + (k.jacobian(end) - jacobian) * s
             along = along + (k.position(end) - begin) * slope
-        whole[:, self._joint.v] += along
-        return whole
+        total[:, self._joint.v] += along
+        return total
 
     def sampled(self, k: SampledKinematics) -> Array:
-        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
+        """Return its positions in n samples relative to `Robot.origin` [m], shape (n, 3)."""
         offset, _ = self._offset(k)
         return k.position(self.point, offset)
 
     def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
-        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
+        """Return the coordinate that moves it on its link, and its derivative, shape (n, 3)."""
         _, slope = self._offset(k)
         return self._joint.v, k.along(self.point, slope)
 
     def _offset(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """Way along the axes, in those of the carrying joint, and its slope, shape (n, 3)."""
+        """Return offset and its derivative in the axes of the carrying joint, shape (n, 3)."""
         q = k.q[:, self._joint.q]
         offset, slope = np.zeros((2, len(q), 3))
         for axis, function in self.directions:
@@ -192,12 +192,12 @@ class Interval(NamedTuple):
     upper: float
 
     def holds(self, k: Kinematics, x: State) -> bool:
-        """Whether the joint is there."""
+        """Whether the joint is in the interval."""
         q = k.item(x.q, self.joint.q)
         return k.maximum(self.lower - q, q - self.upper) <= 0.0
 
     def sampled(self, k: SampledKinematics) -> NDArray[np.bool_]:
-        """Whether the joint is there, in n samples."""
+        """Return whether the joint is in the interval, in n samples."""
         q = k.q[:, self.joint.q]
         there: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
         return there
@@ -206,11 +206,13 @@ class Interval(NamedTuple):
 def slopes_of(
     k: SampledKinematics, points: Sequence[ViaPoint], places: Array, change: Array
 ) -> Array:
-    """J of n samples, shape (n, nv), of a length that changes with points.
+    """Return J of n samples, shape (n, nv), of a length that depends on points.
 
     Args:
-        places: Where they are, shape (n, m, 3).
-        change: By how much the length changes with them, shape (n, m, 3).
+        k: Kinematics at the samples.
+        points: The m points.
+        places: Positions of the points, shape (n, m, 3).
+        change: Derivatives of the length by the positions, shape (n, m, 3).
     """
     arms = np.cross(places, change)
     wrenches: dict[int, Array] = {}

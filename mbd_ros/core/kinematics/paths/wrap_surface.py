@@ -54,7 +54,7 @@ class Surface:
         raise NotImplementedError
 
     def meets(self, a: Array, b: Array) -> Numbers:
-        """What a path from a to b does: `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP`, shape (n,)."""
+        """Return `NO_WRAP`, `MAY_WRAP` or `MUST_WRAP` for paths from a to b, shape (n,)."""
         raise NotImplementedError
 
     def touch(self, a: Array, b: Array, code: Numbers) -> Touch:
@@ -62,7 +62,7 @@ class Surface:
         raise NotImplementedError
 
     def plain(self, a: Array, b: Array) -> Touch:
-        """As `touch`, on whichever side is nearer."""
+        """Return the contact of `touch` on the nearer side."""
         return self.touch(a, b, self.meets(a, b))
 
     def normal(self, points: Array) -> Array:

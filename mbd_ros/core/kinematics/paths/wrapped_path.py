@@ -35,7 +35,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
-Held = tuple[tuple[int, ...], ...]  # the wraps on every line between points
+ActiveWraps = tuple[tuple[int, ...], ...]  # the wraps on every line between points
 _ROUNDS = 8
 _POINT = 1.0e-200  # m, a line that has no direction
 _DRAWN = 9  # points of a geodesic in a picture
@@ -76,11 +76,11 @@ class WrappedPath(Path):
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        return k.searched(self, x).length
+        return k.search_path(self, x).length
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        length, by_points, by_wraps = k.searched(self, x)
+        length, by_points, by_wraps = k.search_path(self, x)
         slope = k.zeros(self._nv)
         for point, change in zip(self.points, by_points, strict=True):
             if point.moves:
@@ -100,12 +100,12 @@ class WrappedPath(Path):
         """
         places, points = self._where(k, x)
         key = b"".join([points.tobytes(), *(x.tobytes() for place in places for x in place[1:])])
-        last, found = self._last
+        last, path = self._last
         if key != last:
             whole = self._taut(points, places)
-            found = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
-            self._last = key, found
-        return found
+            path = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
+            self._last = key, path
+        return path
 
     def drift(self, k: Kinematics, x: State) -> float:
         """J' v: lines turn and contacts slide as their conditions stay met."""
@@ -197,7 +197,7 @@ class WrappedPath(Path):
         except SolveError as error:
             raise self._named(error) from error
         chains = []
-        for line, wraps in enumerate(route.held):
+        for line, wraps in enumerate(route.active):
             arcs, _ = router.corners(route, line)
             over = [places[w] for w in wraps]
             chains.append((wraps, link(points[:, line], points[:, line + 1], over, arcs)[0]))
@@ -219,11 +219,11 @@ class Route(NamedTuple):
     """Samples whose path goes over the same surfaces.
 
     Attributes:
-        held: Wraps in order, for every line between points.
+        active: Wraps in order, for every line between points.
     """
 
     samples: Numbers
-    held: Held
+    active: ActiveWraps
 
 
 class Router:
@@ -250,66 +250,76 @@ class Router:
     def routes(self) -> list[Route]:
         """All of them; every sample is in one."""
         n, count, _ = self._points.shape
-        free: Held = ((),) * (count - 1)
+        free: ActiveWraps = ((),) * (count - 1)
         return list(self._settled(np.arange(n), free, ()))
 
     def corners(self, route: Route, line: int) -> tuple[tuple[Arc, ...], list[Array]]:
         """Geodesics of a route between two points; begins and ends of the straight lines."""
-        arcs, ends = self._geodesics(route.samples, line, route.held[line])
+        arcs, ends = self._geodesics(route.samples, line, route.active[line])
         points = self._points[route.samples]
         return arcs, [points[:, line], *(x for pair in ends for x in pair), points[:, line + 1]]
 
-    def _settled(self, samples: Numbers, held: Held, past: tuple[Held, ...]) -> Iterator[Route]:
+    def _settled(
+        self, samples: Numbers, active: ActiveWraps, past: tuple[ActiveWraps, ...]
+    ) -> Iterator[Route]:
         """Try wraps in turn until a whole round changes nothing, or has been there before."""
         count, trial = len(self._reaches), len(past)
-        past = (*past, held)
+        past = (*past, active)
         calm = trial >= count and len(set(past[-count - 1 :])) == 1
-        again = trial > count and held in past[trial % count : -1 : count]
+        again = trial > count and active in past[trial % count : -1 : count]
         if calm or (count == 1 and trial):
-            yield Route(samples, held)
+            yield Route(samples, active)
         elif again or trial == _ROUNDS * count:
-            yield Route(samples, max(past[-count:], key=lambda one: sum(map(len, one))))
+            yield Route(
+                samples, max(past[-count:], key=lambda candidate: sum(map(len, candidate)))
+            )
         else:
-            for part, ways in self._tried(samples, held, trial % count):
+            for part, ways in self._tried(samples, active, trial % count):
                 yield from self._settled(part, ways, past)
 
-    def _tried(self, samples: Numbers, held: Held, which: int) -> Iterator[tuple[Numbers, Held]]:
+    def _tried(
+        self, samples: Numbers, active: ActiveWraps, which: int
+    ) -> Iterator[tuple[Numbers, ActiveWraps]]:
         """Take a wrap off, leave the others where they are, and put it where it belongs."""
-        others = tuple(tuple(w for w in line if w != which) for line in held)
-        choice, starts = self._choice(samples, held, which)
-        for one in np.unique(choice):
-            here = choice == one
+        others = tuple(tuple(w for w in line if w != which) for line in active)
+        choice, starts = self._choice(samples, active, which)
+        for place_number in np.unique(choice):
+            here = choice == place_number
             part = samples[here]
-            line, place = divmod(int(one), len(self._reaches) + 1) if one >= 0 else (-1, 0)
+            line, place = (
+                divmod(int(place_number), len(self._reaches) + 1) if place_number >= 0 else (-1, 0)
+            )
             ways = _inserted(others, line, place, which)
-            changed = [i for i, (a, b) in enumerate(zip(held, ways, strict=True)) if a != b]
+            changed = [i for i, (a, b) in enumerate(zip(active, ways, strict=True)) if a != b]
             for i in changed:
-                guess = starts[int(one)].of(here) if i == line else None
-                self._press(part, i, held[i], ways[i], which, guess)
+                guess = starts[int(place_number)].of(here) if i == line else None
+                self._press(part, i, active[i], ways[i], which, guess)
             yield from self._lifted(part, ways, changed)
 
     def _lifted(
-        self, samples: Numbers, held: Held, lines: Sequence[int]
-    ) -> Iterator[tuple[Numbers, Held]]:
+        self, samples: Numbers, active: ActiveWraps, lines: Sequence[int]
+    ) -> Iterator[tuple[Numbers, ActiveWraps]]:
         """Leave out wraps that the path would leave: their geodesics have negative lengths."""
-        rest = [line for line in lines if held[line]]
+        rest = [line for line in lines if active[line]]
         if not rest:
-            yield samples, held
+            yield samples, active
             return
         line, *following = rest
-        arcs, _ = self._geodesics(samples, line, held[line])
+        arcs, _ = self._geodesics(samples, line, active[line])
         off = np.stack([arc.length < 0.0 for arc in arcs], axis=-1)
         for pattern in np.unique(off, axis=0):
             here = (off == pattern).all(axis=-1)
             part = samples[here]
-            left = tuple(w for w, gone in zip(held[line], pattern, strict=True) if not gone)
+            left = tuple(w for w, gone in zip(active[line], pattern, strict=True) if not gone)
             if left and pattern.any():
                 kept = [arc.of(here) for arc, gone in zip(arcs, pattern, strict=True) if not gone]
                 self._store(part, line, left, tuple(kept))
-            ways = (*held[:line], left, *held[line + 1 :])
+            ways = (*active[:line], left, *active[line + 1 :])
             yield from self._lifted(part, ways, rest if pattern.any() else following)
 
-    def _choice(self, samples: Numbers, held: Held, which: int) -> tuple[Numbers, dict[int, Arc]]:
+    def _choice(
+        self, samples: Numbers, active: ActiveWraps, which: int
+    ) -> tuple[Numbers, dict[int, Arc]]:
         """Line and place in it of every sample as one number, -1 without a wrap; guesses."""
         reach, place, n = self._reaches[which], self._places[which].of(samples), len(samples)
         choice, least = np.full(n, -1), np.full(n, np.inf)
@@ -317,7 +327,7 @@ class Router:
         ways = [
             (line * (len(self._reaches) + 1) + i, place.inwards(begin), place.inwards(end))
             for line in range(reach.first, reach.last)
-            for i, (begin, end) in enumerate(self._straight(samples, held, line, which))
+            for i, (begin, end) in enumerate(self._straight(samples, active, line, which))
         ]
         if not ways:
             return choice, starts
@@ -338,11 +348,11 @@ class Router:
         return choice, starts
 
     def _straight(
-        self, samples: Numbers, held: Held, line: int, which: int
+        self, samples: Numbers, active: ActiveWraps, line: int, which: int
     ) -> list[tuple[Array, Array]]:
         """Ends of the straight lines between two points, less those at one wrap."""
-        _, ends = self._geodesics(samples, line, held[line])
-        ends = tuple(end for end, w in zip(ends, held[line], strict=True) if w != which)
+        _, ends = self._geodesics(samples, line, active[line])
+        ends = tuple(end for end, w in zip(ends, active[line], strict=True) if w != which)
         begins = [self._points[samples, line], *(last for _, last in ends)]
         finishes = [*(first for first, _ in ends), self._points[samples, line + 1]]
         return list(zip(begins, finishes, strict=True))
@@ -415,11 +425,11 @@ class _Solved(NamedTuple):
     ends: tuple[tuple[Array, Array], ...]
 
 
-def _inserted(held: Held, line: int, place: int, which: int) -> Held:
+def _inserted(active: ActiveWraps, line: int, place: int, which: int) -> ActiveWraps:
     if line < 0:
-        return held
-    here = held[line]
-    return (*held[:line], (*here[:place], which, *here[place:]), *held[line + 1 :])
+        return active
+    here = active[line]
+    return (*active[:line], (*here[:place], which, *here[place:]), *active[line + 1 :])
 
 
 def _longer(touch: Touch, a: Array, b: Array) -> Array:
@@ -469,7 +479,7 @@ def taut(points: Array, reaches: Sequence[Reach], places: Sequence[Placed]) -> T
     if reaches:
         router = Router(points, reaches, places)
         for route in router.routes():
-            for line, wraps in enumerate(route.held):
+            for line, wraps in enumerate(route.active):
                 if wraps:
                     found = _bent(router, route, line, places, by_wraps)
                     lengths[route.samples, line] = found[0]
@@ -484,7 +494,7 @@ def _bent(
     router: Router, route: Route, line: int, places: Sequence[Placed], by_wraps: Array
 ) -> tuple[Array, Array, Array]:
     """Length of a line over surfaces and its slopes at both points; adds those at surfaces."""
-    samples, wraps = route.samples, route.held[line]
+    samples, wraps = route.samples, route.active[line]
     arcs, corners = router.corners(route, line)
     length = sum(arc.length for arc in arcs)
     ends = []
@@ -508,21 +518,23 @@ def contact_rates(
     motions: Sequence[SurfaceMotion],
     speeds: tuple[Array, Array],
 ) -> list[tuple[Array, Array, Array]]:
-    """Of every contact: velocity and its rate for what the body holds there, and its sliding."""
+    """Return for every contact the velocity of the body there, its rate, and the sliding."""
     if not places:
         return []
-    held, turned = [speeds[0]], []
+    fixed_rates, turned = [speeds[0]], []
     for place, motion, ends in zip(places, motions, chain.ends, strict=True):
         rotation = place.rotation[0]
         for contact in ends:
-            held.append(motion.linear[0] + motion.turning[0] @ place.inwards(contact.point)[0])
+            fixed_rates.append(
+                motion.linear[0] + motion.turning[0] @ place.inwards(contact.point)[0]
+            )
             turned.append(contact.frame[0] @ (rotation @ motion.turning[0].T))
-    held.append(speeds[1])
+    fixed_rates.append(speeds[1])
     rates = []
     for i, contact in enumerate(contact for ends in chain.ends for contact in ends):
         straight = chain.lines[(i + 1) // 2]
         e, (a, b) = straight.direction[0], (2 * ((i + 1) // 2), 2 * ((i + 1) // 2) + 1)
-        past = held[b] - held[a]
+        past = fixed_rates[b] - fixed_rates[a]
         turn = (past - e * (e @ past)) / straight.length[0]
         rates.append(contact.frame[0] @ turn + turned[i] @ e)
     unknowns = -np.linalg.solve(chain.slopes[0], np.concatenate(rates))
@@ -532,7 +544,7 @@ def contact_rates(
         slide = contact.moves[0] @ unknowns[4 * (i // 2) : 4 * (i // 2) + 4]
         inside = place.rotation[0].T @ slide
         push = motion.linear[1] + motion.turning[1] @ place.inwards(contact.point)[0]
-        contacts.append((held[i + 1], push + motion.turning[0] @ inside, slide))
+        contacts.append((fixed_rates[i + 1], push + motion.turning[0] @ inside, slide))
     return contacts
 
 

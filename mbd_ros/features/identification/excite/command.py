@@ -1,37 +1,34 @@
-"""Words of `mbd-ros excite`."""
+"""Command line of `mbd-ros excite`."""
 
 import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_option, add_options
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
+_JOB = "mbd_ros.features.identification.excite.job:excite"
+_FILES = "mbd_ros.features.identification.excite.trajectory_files:excite_to"
+_OPTIONS = ("period", "harmonics", "share", "evaluations", "seed")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `excite` understands."""
+    """Add the options of `excite` to a parser."""
     add_scene(parser)
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="folder for the trajectory (required)"
+        "-o", "--out", type=path_word, required=True, help="Folder for the trajectory (required)."
     )
-    options = (
-        ("--period", float, 10.0, "of the motion in s, which may be repeated"),
-        ("--harmonics", int, 5, "of the motion"),
-        ("--share", float, 0.9, "of limits of position, velocity and effort that is used"),
-        ("--rate", float, 50.0, "points of the trajectory a second"),
-        ("--evaluations", int, 2000, "motions that are tried"),
-        ("--seed", int, 0, "of the random numbers"),
-    )
-    for name, kind, default, text in options:
-        parser.add_argument(name, type=kind, default=default, help=f"{text} (default: {default})")
+    add_options(parser, _JOB, *_OPTIONS)
+    add_option(parser, _FILES, "rate")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.identification.excite.trajectory_files import excite_to
     from mbd_ros.scene.reader import load_scene
 
-    names = ("period", "harmonics", "share", "evaluations", "seed")
-    options = {name: getattr(arguments, name) for name in names}
-    excite_to(load_scene(arguments.scene), arguments.out, arguments.rate, options, say)
+    options = {name: getattr(arguments, name) for name in _OPTIONS}
+    scene = load_scene(arguments.scene)
+    excite_to(scene, arguments.out, options, say, rate=arguments.rate)
     return OK

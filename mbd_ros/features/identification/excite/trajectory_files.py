@@ -1,4 +1,4 @@
-"""An excitation as trajectory_msgs/JointTrajectory, in YAML and in a bag, and as a table."""
+"""Files of an excitation: a JointTrajectory message in YAML and in a bag, and a table."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import yaml
 
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.excite.job import Excitation, excite, points_of
+from mbd_ros.features.identification.excite.job import Excitation, excite, trajectory_points
 from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.output_folder import make_folder
@@ -18,48 +18,53 @@ from mbd_ros.scene.built_scene import Scene
 
 _TYPE = "trajectory_msgs/msg/JointTrajectory"
 _TOPIC = "/joint_trajectory"
-_MOST = 2850  # points that controllers take
-_NAMES = ("positions", "velocities", "accelerations")
+_MOST_POINTS = 2850  # points that controllers accept in a trajectory
+_FIELDS = ("positions", "velocities", "accelerations")
 
 
-def excite_to(scene: Scene, out: Path, rate: float, options: dict[str, Any], say: Say) -> None:
-    """Write `trajectory.yaml`, `trajectory.mcap` and `trajectory.csv` into a folder.
+def excite_to(
+    scene: Scene, out: Path, options: dict[str, Any], say: Say, *, rate: float = 50.0
+) -> None:
+    """Search an excitation and write `trajectory.yaml`, `trajectory.mcap` and `trajectory.csv`.
 
     Args:
-        rate: Points a second [Hz].
-        options: Of `excite`.
-        say: Is told what was done.
+        options: Options of `excite`.
+        say: Receives lines for people.
+        rate: Points of the trajectory per second [Hz].
     """
     count = rate * options["period"]
-    if not 4 <= count <= _MOST:
-        raise DataError(f"--rate {rate:g}: {count:g} points, controllers take 4 .. {_MOST}")
+    if not 4 <= count <= _MOST_POINTS:
+        raise DataError(
+            f"--rate {rate:g}: the trajectory would have {count:g} points, but controllers accept "
+            f"4 .. {_MOST_POINTS}; change --rate or --period"
+        )
     make_folder(out)
-    found = excite(scene, **options, say=say, progress=True)
-    samples = found.samples(rate)
+    excitation = excite(scene, **options, say=say, progress=True)
+    samples = excitation.samples(rate)
     points = [
-        (t, {name: values.tolist() for name, values in zip(_NAMES, each, strict=True)})
-        for t, each in points_of(samples, found.joints)
+        (t, {name: values.tolist() for name, values in zip(_FIELDS, fields, strict=True)})
+        for t, fields in trajectory_points(samples, excitation.joints)
     ]
     with replacing(out / "trajectory.yaml") as file:
-        file.write(_yaml(found, points).encode())
+        file.write(_yaml(excitation, points).encode())
     with BagWriter(out / "trajectory.mcap") as bag:
-        bag.write(_TOPIC, _TYPE, 0, _message(found, points))
+        bag.write(_TOPIC, _TYPE, 0, _message(excitation, points))
     samples.to(out / "trajectory.csv")
     say(f"{out}: trajectory.yaml, trajectory.mcap, trajectory.csv")
 
 
-def _yaml(found: Excitation, points: list[tuple[float, dict[str, list[float]]]]) -> str:
-    """The message as `ros2 topic pub` takes it."""
+def _yaml(excitation: Excitation, points: list[tuple[float, dict[str, list[float]]]]) -> str:
+    """Return the message in the format of `ros2 topic pub`."""
     message = {
-        "joint_names": list(found.joints),
+        "joint_names": list(excitation.joints),
         "points": [{**values, "time_from_start": _duration(t)} for t, values in points],
     }
     return yaml.safe_dump(message, sort_keys=False, default_flow_style=None, width=10_000)
 
 
-def _message(found: Excitation, points: list[tuple[float, dict[str, list[float]]]]) -> Any:
+def _message(excitation: Excitation, points: list[tuple[float, dict[str, list[float]]]]) -> Any:
     message = new_message(_TYPE)
-    message.joint_names = list(found.joints)
+    message.joint_names = list(excitation.joints)
     message.points = []
     for t, values in points:
         point = new_message("trajectory_msgs/msg/JointTrajectoryPoint")
@@ -71,5 +76,5 @@ def _message(found: Excitation, points: list[tuple[float, dict[str, list[float]]
 
 
 def _duration(t: float) -> dict[str, int]:
-    whole = round(t / NANOSECOND)
-    return {"sec": whole // 10**9, "nanosec": whole % 10**9}
+    nanoseconds = round(t / NANOSECOND)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}

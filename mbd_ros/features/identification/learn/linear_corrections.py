@@ -1,8 +1,8 @@
-"""Corrections of inertias, friction and stiffness: adapters that are linear in torque.
+"""Linear corrections of inertias, friction and stiffness, which adapt a learned model.
 
-Of everything that a model has learned from, the triangle of a QR factorisation is kept: that is
-all that samples say of linear numbers. New samples are put below it. The prior of each number is
-that its torque is 0, with a deviation that makes what was measured most likely.
+Of all training samples, only the triangular factor of a QR factorization is stored, because it
+contains all that the samples tell about linear parameters. New samples are appended to it. The
+prior torque of each parameter is 0, with the standard deviation that makes the data most likely.
 
 Source: D. MacKay, Neural Computation 4, 1992, 415 (evidence of a prior).
 """
@@ -20,19 +20,19 @@ from mbd_ros.features.identification.learn.training_samples import (
     FINE_CURVES,
     Samples,
     Scales,
-    curves_of,
+    friction_curves,
 )
 from mbd_ros.features.identification.regressor import Regressor, base_parameters, random_states
-from mbd_ros.methods.learned import About
+from mbd_ros.methods.learned_model import About
 from mbd_ros.scene.built_scene import Scene
 
-_STATES = 100  # random ones, to tell which numbers a motion can show
-_PRIORS = (0.01, 0.03, 0.1, 0.3)  # of the usual torque: deviations of that of a number
-_LEAST = 1.0e-4  # of the usual torque: the smallest deviation of what is measured
-_FIRST = 0.05  # of the usual torque: deviation of what is measured, before the fit says it
+_STATES = 100  # random states that tell which parameters motions can show
+_PRIORS = (0.01, 0.03, 0.1, 0.3)  # of the RMS torque: standard deviations of the prior
+_LEAST = 1.0e-4  # of the RMS torque: the smallest standard deviation of measurements
+_FIRST = 0.05  # of the RMS torque: initial standard deviation of measurements
 _ALIKE = 0.98  # the largest correlation of neighbours
-_ROUNDS = 3  # deviations follow from the fit, and the fit from them
-_SMALLEST = 0.1  # of the inertia of a motion: what is left of it at least
+_ROUNDS = 3  # alternations of fit and standard deviations
+_SMALLEST = 0.1  # of the inertia of a motion: the least that corrections leave
 
 
 class Columns:
@@ -40,104 +40,110 @@ class Columns:
 
     Args:
         joints: Names, in the order of the model.
-        scales: Of the model.
+        scales: Scales of the model.
     """
 
     def __init__(self, scene: Scene, joints: Sequence[str], scales: Scales) -> None:
         self._regressor = Regressor(scene.robot, scene.inverse_dynamics())
-        self._scales, self._joints = scales, tuple(joints)
-        self._mine = [self._regressor.labels.index(name) for name in joints]
+        self._scales = scales
+        self._joints = tuple(joints)
+        self._rows = [self._regressor.labels.index(name) for name in joints]
         self._states = random_states(scene.robot, scene.couplings, _STATES)
-        rows = self._regressor.rows(*self._states)[:, self._mine]
-        self._chosen = base_parameters(rows.reshape(-1, rows.shape[2])).chosen
+        rows = self._regressor.rows(*self._states)[:, self._rows]
+        self._choose_adapters = base_parameters(rows.reshape(-1, rows.shape[2])).chosen
         self._bodies = [body.name for body in moving_bodies(scene.robot)]
-        self._given = parameters_of(scene.robot.model).ravel()
+        self._nominal = parameters_of(scene.robot.model).ravel()
 
     def of(self, samples: Samples) -> Array:
-        """Torque of a unit of each number, shape (n, m, p)."""
+        """Return the torque of a unit of each parameter, shape (n, m, p)."""
         inertial = self._regressor.rows(samples.y, samples.w, samples.push)
-        curves = curves_of(samples.v, self._scales, FINE_CURVES)
+        curves = friction_curves(samples.v, self._scales, FINE_CURVES)
         n, m, size = curves.shape
-        own = np.zeros((n, m, m, size + 2))  # of each joint: curves, stiffness, offset
+        joint_columns = np.zeros((n, m, m, size + 2))  # of each joint: curves, stiffness, offset
         for j in range(m):
-            own[:, j, j, :size], own[:, j, j, size + 1] = curves[:, j], 1.0
-            own[:, j, j, size] = samples.q[:, j] - self._scales.centre[j]
-        rows = inertial[:, self._mine][:, :, self._chosen]
-        return np.concatenate([rows, own.reshape(n, m, -1)], axis=2)
+            joint_columns[:, j, j, :size] = curves[:, j]
+            joint_columns[:, j, j, size + 1] = 1.0
+            joint_columns[:, j, j, size] = samples.q[:, j] - self._scales.centre[j]
+        rows = inertial[:, self._rows][:, :, self._choose_adapters]
+        return np.concatenate([rows, joint_columns.reshape(n, m, -1)], axis=2)
 
     def torque(self, samples: Samples, numbers: Array) -> Array:
-        """Torque of the numbers [N·m or N], shape (n, m)."""
+        """Return the torque of corrections [N·m or N], shape (n, m)."""
         if not numbers.any():
             return np.zeros_like(samples.q)
         return np.asarray(self.of(samples) @ numbers)
 
     def none(self) -> Array:
-        """Numbers that change nothing, shape (p,)."""
-        return np.zeros(len(self._chosen) + len(self._joints) * (len(FINE_CURVES) + 3))
+        """Return corrections that change nothing, shape (p,)."""
+        return np.zeros(len(self._choose_adapters) + len(self._joints) * (len(FINE_CURVES) + 3))
 
-    def known(self, samples: Samples, said: Array) -> Known:
-        """What samples say, with efforts as measured: a low-pass would round dry friction.
+    def statistics(self, samples: Samples, network: Array) -> SampleStatistics:
+        """Return the statistics of samples.
+
+        They use efforts without the low-pass, which would round dry friction.
 
         Args:
-            said: Torque of the network, shape (n, m).
+            network: Torque of the network, shape (n, m).
         """
-        left = samples.measured - samples.physics
-        whole = np.concatenate([self.of(samples), left[..., None], said[..., None]], axis=2)
-        k = whole.shape[2]
-        R = np.zeros((whole.shape[1], k, k))
-        for j, rows in enumerate(whole.transpose(1, 0, 2)):
-            found = np.linalg.qr(rows, mode="r")
-            R[j, : len(found)] = found
-        usual = np.sqrt(np.mean(np.square(samples.measured), axis=0))
-        usual = np.maximum(usual, _LEAST * max(float(usual.max()), 1.0e-300))
-        plain = Known(R, np.full(len(R), float(samples.count)), usual)
-        independent = _independent(plain, whole)
-        return Known(R * np.sqrt(independent)[:, None, None], plain.count * independent, usual)
+        error = samples.measured - samples.physics
+        rows = np.concatenate([self.of(samples), error[..., None], network[..., None]], axis=2)
+        k = rows.shape[2]
+        R = np.zeros((rows.shape[1], k, k))
+        for j, joint_rows in enumerate(rows.transpose(1, 0, 2)):
+            factor = np.linalg.qr(joint_rows, mode="r")
+            R[j, : len(factor)] = factor
+        rms = np.sqrt(np.mean(np.square(samples.measured), axis=0))
+        rms = np.maximum(rms, _LEAST * max(float(rms.max()), 1.0e-300))
+        plain = SampleStatistics(R, np.full(len(R), float(samples.count)), rms)
+        independent = _independent(plain, rows)
+        return SampleStatistics(
+            R * np.sqrt(independent)[:, None, None], plain.count * independent, rms
+        )
 
-    def written(self, said: About, numbers: Array) -> About:
-        """The corrections as a file has them."""
-        r, m = len(self._chosen), len(self._joints)
+    def describe(self, about: About, numbers: Array) -> About:
+        """Return a description of the model that contains the corrections."""
+        r, m = len(self._choose_adapters), len(self._joints)
         inertial = np.zeros(self._regressor.size)
-        inertial[self._chosen] = numbers[:r]
+        inertial[self._choose_adapters] = numbers[:r]
         ten = inertial.reshape(-1, COUNT)
         bodies = {name: ten[i].tolist() for i, name in enumerate(self._bodies) if ten[i].any()}
         friction, springs = {}, {}
-        for j, own in enumerate(numbers[r:].reshape(m, len(FINE_CURVES) + 3)):
+        for j, values in enumerate(numbers[r:].reshape(m, len(FINE_CURVES) + 3)):
             bends = self._scales.v[j] * np.array(FINE_CURVES)
-            pairs = np.column_stack([own[: len(FINE_CURVES)], bends]).ravel()
-            viscous = own[len(FINE_CURVES)] / self._scales.v[j]
-            friction[self._joints[j]] = [float(own[-1]), float(viscous), *pairs.tolist()]
-            springs[self._joints[j]] = [float(own[-2]), float(self._scales.centre[j])]
-        return said._replace(bodies=bodies, friction=friction, stiffness=springs)
+            pairs = np.column_stack([values[: len(FINE_CURVES)], bends]).ravel()
+            viscous = values[len(FINE_CURVES)] / self._scales.v[j]
+            friction[self._joints[j]] = [float(values[-1]), float(viscous), *pairs.tolist()]
+            springs[self._joints[j]] = [float(values[-2]), float(self._scales.centre[j])]
+        return about._replace(bodies=bodies, friction=friction, stiffness=springs)
 
-    def possible(self, numbers: Array) -> Array:
-        """The same numbers, inertias drawn to 0 until every motion has inertia."""
-        found, r = numbers.copy(), len(self._chosen)
+    def limit(self, numbers: Array) -> Array:
+        """Return corrections with inertias reduced until the mass matrix is positive definite."""
+        limited, r = numbers.copy(), len(self._choose_adapters)
         added = np.zeros(self._regressor.size)
-        added[self._chosen] = numbers[:r]
+        added[self._choose_adapters] = numbers[:r]
         y, w, _ = self._states
         units = np.eye(w.shape[1])
         rows = np.array([self._regressor.rows(y, 0.0 * w, 0.0 * w + unit) for unit in units])
         rows -= self._regressor.rows(y, 0.0 * w, 0.0 * w)
-        M, more = (np.moveaxis(rows @ values, 0, 2) for values in (self._given, added))
+        M, dM = (np.moveaxis(rows @ values, 0, 2) for values in (self._nominal, added))
         least = 0.0
-        for own, other in zip(M, more, strict=True):
+        for M_i, dM_i in zip(M, dM, strict=True):
             try:
-                L = np.linalg.cholesky(own)
-            except np.linalg.LinAlgError:  # something moves that has no inertia
+                L = np.linalg.cholesky(M_i)
+            except np.linalg.LinAlgError:  # a joint moves no mass
                 continue
-            turned = np.linalg.solve(L, np.linalg.solve(L, other).T)
-            least = min(least, float(np.linalg.eigvalsh(0.5 * (turned + turned.T))[0]))
-        found[:r] *= min(1.0, (1.0 - _SMALLEST) / max(-least, 1.0e-300))
-        return found
+            relative = np.linalg.solve(L, np.linalg.solve(L, dM_i).T)
+            least = min(least, float(np.linalg.eigvalsh(0.5 * (relative + relative.T))[0]))
+        limited[:r] *= min(1.0, (1.0 - _SMALLEST) / max(-least, 1.0e-300))
+        return limited
 
 
-class Known(NamedTuple):
-    """What samples say of linear numbers.
+class SampleStatistics(NamedTuple):
+    """Statistics of samples that determine linear corrections.
 
     Attributes:
-        triangle: Of each joint R of [columns, torque, torque of the network], shape (m, k, k).
-        count: Independent samples of each joint, shape (m,).
+        triangle: Factor R of [columns, torque, torque of the network] of each joint, (m, k, k).
+        count: Number of independent samples of each joint, shape (m,).
         usual: Root mean square of the efforts [N·m or N], shape (m,).
     """
 
@@ -145,36 +151,38 @@ class Known(NamedTuple):
     count: Array
     usual: Array
 
-    def and_also(self, other: Known) -> Known:
-        """What both say; sizes are those of the first."""
+    def merge(self, other: SampleStatistics) -> SampleStatistics:
+        """Return the statistics of both sets of samples, with the efforts of the first."""
         both = np.concatenate([self.triangle, other.triangle], axis=1)
-        return Known(np.linalg.qr(both, mode="r"), self.count + other.count, self.usual)
+        return SampleStatistics(np.linalg.qr(both, mode="r"), self.count + other.count, self.usual)
 
 
-def _independent(known: Known, rows: Array) -> Array:
-    """Share of the samples that say something of their own, of each joint, shape (m,).
+def _independent(known: SampleStatistics, rows: Array) -> Array:
+    """Return the number of independent samples per sample for each joint, shape (m,).
 
-    What a fit leaves of neighbours is alike: with a correlation r of one to the next, n samples
+    Residuals of neighbours are correlated: with a correlation r from one to the next, n samples
     are worth n (1 - r) / (1 + r).
     """
     p = rows.shape[2] - 2
-    ways = [(rows[..., p] - w * rows[..., p + 1], fitted(known, w)) for w in (False, True)]
-    left = min((b - rows[..., :p] @ numbers for b, numbers in ways), key=np.linalg.norm)
-    square = np.maximum(np.square(left).sum(axis=0), 1.0e-300)
-    r = np.clip((left[1:] * left[:-1]).sum(axis=0) / square, 0.0, _ALIKE)
+    fits = [
+        (rows[..., p] - w * rows[..., p + 1], solve_corrections(known, w)) for w in (False, True)
+    ]
+    error = min((b - rows[..., :p] @ numbers for b, numbers in fits), key=np.linalg.norm)
+    square = np.maximum(np.square(error).sum(axis=0), 1.0e-300)
+    r = np.clip((error[1:] * error[:-1]).sum(axis=0) / square, 0.0, _ALIKE)
     return np.asarray((1.0 - r) / (1.0 + r))
 
 
-def fitted(known: Known, with_network: bool) -> Array:
-    """Linear numbers that make the torques most likely, shape (p,).
+def solve_corrections(known: SampleStatistics, uses_network: bool) -> Array:
+    """Return the corrections that make the torques most likely, shape (p,).
 
     Args:
-        known: What samples say.
-        with_network: Whether the network acts beside them.
+        known: Statistics of the samples.
+        uses_network: Whether the torque of the network is added to the corrections.
     """
     p, usual = known.triangle.shape[2] - 2, known.usual[:, None]
     A = known.triangle[:, :, :p] / usual[..., None]
-    b = known.triangle[:, :, p] - with_network * known.triangle[:, :, p + 1]
+    b = known.triangle[:, :, p] - uses_network * known.triangle[:, :, p + 1]
     b = b / usual
     size = np.sqrt(np.square(A).sum(axis=(0, 1)) / known.count.sum())
     size = np.maximum(size, 1.0e-9 * float(size.max(initial=1.0e-300)))
@@ -183,13 +191,13 @@ def fitted(known: Known, with_network: bool) -> Array:
     weight = np.full(len(b), 1.0 / _FIRST**2)
     for _ in range(_ROUNDS):
         numbers = _most_likely(np.tensordot(weight, squares, axes=1), weight @ slopes)
-        left = np.square(b - A @ numbers).sum(axis=1) / known.count
-        weight = 1.0 / np.maximum(left, _LEAST**2)
+        variance = np.square(b - A @ numbers).sum(axis=1) / known.count
+        weight = 1.0 / np.maximum(variance, _LEAST**2)
     return np.asarray(numbers / size)
 
 
 def _most_likely(square: Array, slope: Array) -> Array:
-    """Numbers x under the prior with the largest evidence; of A x = b with unit noise.
+    """Solve A x = b with unit noise, under the prior with the largest evidence.
 
     Args:
         square: A' A, shape (p, p).
@@ -199,9 +207,9 @@ def _most_likely(square: Array, slope: Array) -> Array:
     along = V.T @ slope
     noise = [1.0 + prior**2 * np.maximum(values, 0.0) for prior in _PRIORS]
     evidence = [
-        np.sum(prior**2 * np.square(along) / one) - np.sum(np.log(one))
-        for prior, one in zip(_PRIORS, noise, strict=True)
+        np.sum(prior**2 * np.square(along) / variance) - np.sum(np.log(variance))
+        for prior, variance in zip(_PRIORS, noise, strict=True)
     ]
     best = int(np.argmax(evidence))
-    found: Array = V @ (_PRIORS[best] ** 2 / noise[best] * along)
-    return found
+    x: Array = V @ (_PRIORS[best] ** 2 / noise[best] * along)
+    return x

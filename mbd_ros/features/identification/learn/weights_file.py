@@ -1,6 +1,6 @@
-"""`weights.npz`: the weights of a learned model, from which learning goes on.
+"""The file `weights.npz` with the weights of a learned model, from which training can resume.
 
-Everything in it is checked before it is used: names, shapes that belong together, finite numbers.
+Its arrays are checked before use: names, shapes that belong together, finite numbers.
 """
 
 import io
@@ -11,10 +11,10 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.learn.linear_corrections import Known
-from mbd_ros.features.identification.learn.task import Learned
+from mbd_ros.features.identification.learn.linear_corrections import SampleStatistics
+from mbd_ros.features.identification.learn.task import LearnedModel
 from mbd_ros.features.identification.learn.training_samples import CURVES, Scales
-from mbd_ros.methods.learned import STRUCTURED, About, about_in
+from mbd_ros.methods.learned_model import STRUCTURED, About, about_in
 from mbd_ros.npz_file import read_arrays
 
 WEIGHTS = "weights.npz"
@@ -22,8 +22,8 @@ _WEIGHT, _SCALE, _KNOWN = "weight.", "scale.", "known."
 _MOST_MEMBERS = 20
 
 
-def weights_file(model: Learned) -> bytes:
-    """The content of the file of a model."""
+def weights_file(model: LearnedModel) -> bytes:
+    """Return the content of the file of a model."""
     arrays = {f"{_WEIGHT}{key}": value for key, value in model.weights.items()}
     arrays |= {f"{_SCALE}{key}": value for key, value in model.scales._asdict().items()}
     arrays |= {f"{_KNOWN}{key}": value for key, value in model.known._asdict().items()}
@@ -33,11 +33,12 @@ def weights_file(model: Learned) -> bytes:
     return target.getvalue()
 
 
-def read_folder(folder: Path) -> Learned:
-    """The model of a folder, to go on from; reading it runs no code.
+def read_folder(folder: Path) -> LearnedModel:
+    """Read the model in a folder, without running any code from it.
 
     Raises:
-        DataError: It is none, of another version, or damaged; names file and array.
+        DataError: The file is no such model, of another version or damaged; the message names
+            file and array.
     """
     path = folder / WEIGHTS
     arrays = read_arrays(path, "a file of weights of mbd-ros learn")
@@ -49,12 +50,12 @@ def read_folder(folder: Path) -> Learned:
         raise DataError(str(error)) from error
     except ValueError as error:
         raise DataError(f"{path}: {error}") from error
-    return Learned(
+    return LearnedModel(
         about,
         Scales(*(arrays[f"{_SCALE}{key}"] for key in Scales._fields)),
         {k.removeprefix(_WEIGHT): v for k, v in arrays.items() if k.startswith(_WEIGHT)},
         arrays["trust"],
-        Known(*(arrays[f"{_KNOWN}{key}"] for key in Known._fields)),
+        SampleStatistics(*(arrays[f"{_KNOWN}{key}"] for key in SampleStatistics._fields)),
         arrays["numbers"],
     )
 
@@ -63,19 +64,19 @@ def _check_shapes(arrays: Mapping[str, Array], about: About) -> None:
     """Refuse arrays that do not belong together.
 
     Raises:
-        ValueError: Names the array, what it is and what is accepted.
+        ValueError: The message names the array, its shape and the accepted one.
     """
     shapes = _shapes(arrays, about)
     if unknown := [key for key in arrays if key not in shapes]:
-        raise ValueError(f"array '{unknown[0]}' is unknown, accepted: {', '.join(shapes)}")
+        raise ValueError(f"array '{unknown[0]}' is unknown; accepted are {', '.join(shapes)}")
     for key, shape in shapes.items():
         if key not in arrays:
             raise ValueError(f"array '{key}' is missing")
         array = arrays[key]
         if array.dtype != np.float64 or array.shape != shape:
             raise ValueError(
-                f"array '{key}' has shape {array.shape} of {array.dtype}, accepted: "
-                f"{shape} of float64"
+                f"array '{key}' has shape {array.shape} of {array.dtype}; accepted is {shape} of "
+                "float64"
             )
         if not np.isfinite(array).all():
             raise ValueError(f"array '{key}' has numbers that are not finite")
@@ -88,13 +89,13 @@ def _check_shapes(arrays: Mapping[str, Array], about: About) -> None:
 
 
 def _shapes(arrays: Mapping[str, Array], about: About) -> dict[str, tuple[int, ...]]:
-    """The shapes that the joints ask for; numbers of members and neurons are those of the file."""
+    """Return the expected shapes; the file decides the numbers of members and of neurons."""
     m, is_structured = len(about.joints), about.kind == STRUCTURED
     first, second = (np.shape(arrays.get(f"{_WEIGHT}b{i}", ())) for i in (1, 2))
     if len(first) != 2 or len(second) != 2 or not 2 <= first[0] <= _MOST_MEMBERS:
         raise ValueError(
-            f"arrays '{_WEIGHT}b1' and '{_WEIGHT}b2' have shapes {first} and {second}, accepted: "
-            f"2 .. {_MOST_MEMBERS} members, with their neurons"
+            f"arrays '{_WEIGHT}b1' and '{_WEIGHT}b2' have shapes {first} and {second}; accepted "
+            f"are 2 .. {_MOST_MEMBERS} members with their neurons"
         )
     members, p = first[0], int(np.size(arrays.get("numbers", ())))
     layers = (2 * m if is_structured else 3 * m, first[1], second[1])

@@ -1,55 +1,32 @@
-"""Words of `mbd-ros payload`."""
+"""Command line of `mbd-ros payload`."""
 
 import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_option, add_options
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
+_JOB = "mbd_ros.features.identification.payload.job:payload"
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `payload` understands."""
+    """Add the options of `payload` to a parser."""
     add_scene(parser)
-    parser.add_argument("motion", type=path_word, help="table or bag with positions and efforts")
+    add_option(parser, _JOB, "motion", "motion")
+    add_options(parser, _JOB, "without", "frame", "wrenches", "topic", "derivatives", "band")
+    form = {"type": str, "nargs": "+", "default": (), "metavar": "JOINT=VALUE"}
+    add_option(parser, _JOB, "gains", "--gain", dest="gain", **form)
+    add_option(parser, _JOB, "partial")
     parser.add_argument(
-        "--without",
-        type=path_word,
-        help="recording of the robot with nothing in its hand, from which it is identified first "
-        "(default: the scene is right)",
-    )
-    parser.add_argument("--frame", help="link that carries it (default: the last one)")
-    parser.add_argument("--wrenches", type=path_word, help="table of the loads in the scene")
-    parser.add_argument(
-        "--topic",
-        default="/joint_states",
-        help="JointState topic of bags (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--derivatives",
-        choices=("given", "zero-phase"),
-        help="where velocities and accelerations come from (default: given where a motion has "
-        "accelerations, else zero-phase)",
-    )
-    parser.add_argument("--band", type=float, help="end of the band that is looked at in Hz")
-    parser.add_argument(
-        "--gain",
-        nargs="+",
-        default=(),
-        metavar="JOINT=VALUE",
-        help="torque for a unit of effort",
-    )
-    parser.add_argument(
-        "--partial", action="store_true", help="go on with a motion that does not show all numbers"
-    )
-    parser.add_argument(
-        "-o", "--out", type=path_word, help="table of the result, as .csv, .npz or .parquet"
+        "-o", "--out", type=path_word, help="Table of the result, as .csv, .npz or .parquet."
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
-    from mbd_ros.features.identification.command import gains_of
+    """Run the command, and return its exit code."""
+    from mbd_ros.features.identification.command import parse_gains
     from mbd_ros.features.identification.payload.job import payload
     from mbd_ros.files.text_file import check_place, refuse_overwriting
     from mbd_ros.scene.reader import load_scene
@@ -59,10 +36,10 @@ def run(arguments: argparse.Namespace) -> int:
         check_place(arguments.out)
     names = ("frame", "without", "wrenches", "topic", "derivatives", "band", "partial")
     options = {name: getattr(arguments, name) for name in names}
-    gains = gains_of(arguments.gain)
+    gains = parse_gains(arguments.gain)
     scene = load_scene(arguments.scene)
-    found = payload(scene, arguments.motion, **options, gains=gains, say=say, progress=True)
+    result = payload(scene, arguments.motion, **options, gains=gains, say=say, progress=True)
     if arguments.out is not None:
-        found.table().to(arguments.out)
+        result.table().to(arguments.out)
         say(f"-> {arguments.out}")
     return OK

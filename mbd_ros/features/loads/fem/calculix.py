@@ -42,8 +42,8 @@ def model_lines(body: Body) -> Iterator[str]:
     yield from _mesh(body)
     yield from _material(body)
     references = references_of(body)
-    for one in body.attachments:
-        yield from _coupling(body, one, references[one.name])
+    for attachment in body.attachments:
+        yield from _coupling(body, attachment, references[attachment.name])
     reference, turning = references[body.support]
     yield "*BOUNDARY"
     yield from (f"{node},1,3,0." for node in (reference, turning))
@@ -56,8 +56,8 @@ def _mesh(body: Body) -> Iterator[str]:
     points = body.mesh.points * body.units.per_metre
     yield from (f"{i},{_numbers(point)}" for i, point in enumerate(points, 1))
     number = len(points)
-    for one in body.attachments:  # each with a node that moves and one that turns
-        at = _numbers(one.reference * body.units.per_metre)
+    for attachment in body.attachments:  # each with a node that moves and one that turns
+        at = _numbers(attachment.reference * body.units.per_metre)
         yield from (f"{number + i},{at}" for i in (1, 2))
         number += 2
     element = 0
@@ -66,9 +66,9 @@ def _mesh(body: Body) -> Iterator[str]:
         for nodes in cells + 1:
             element += 1
             yield from _listed([element, *nodes.tolist()])
-    for one in body.attachments:
-        yield f"*NSET,NSET={_name(one)}"
-        yield from _listed((one.nodes + 1).tolist())
+    for attachment in body.attachments:
+        yield f"*NSET,NSET={_name(attachment)}"
+        yield from _listed((attachment.nodes + 1).tolist())
 
 
 def _material(body: Body) -> Iterator[str]:
@@ -83,36 +83,39 @@ def _material(body: Body) -> Iterator[str]:
 
 
 def references_of(body: Body) -> dict[str, tuple[int, int]]:
-    """Nodes of each attachment that move and turn; a distributing coupling has one for both."""
-    first, found = len(body.mesh.points), {}
-    for i, one in enumerate(body.attachments):
+    """Return the nodes of each attachment that move and turn; of a distributing coupling one."""
+    first, references = len(body.mesh.points), {}
+    for i, attachment in enumerate(body.attachments):
         moving = first + 2 * i + 1
-        found[one.name] = (moving, moving + 1 if _is_rigid(body, one) else moving)
-    return found
+        references[attachment.name] = (
+            moving,
+            moving + 1 if _is_rigid(body, attachment) else moving,
+        )
+    return references
 
 
-def _is_rigid(body: Body, one: Attachment) -> bool:
-    return body.coupling == "rigid" or one.name == body.support
+def _is_rigid(body: Body, attachment: Attachment) -> bool:
+    return body.coupling == "rigid" or attachment.name == body.support
 
 
-def _coupling(body: Body, one: Attachment, nodes: tuple[int, int]) -> Iterator[str]:
+def _coupling(body: Body, attachment: Attachment, nodes: tuple[int, int]) -> Iterator[str]:
     moving, turning = nodes
-    if _is_rigid(body, one):
-        yield f"*RIGID BODY,NSET={_name(one)},REF NODE={moving},ROT NODE={turning}"
+    if _is_rigid(body, attachment):
+        yield f"*RIGID BODY,NSET={_name(attachment)},REF NODE={moving},ROT NODE={turning}"
         return
-    surface = f"FACES_{_name(one)}"
+    surface = f"FACES_{_name(attachment)}"
     yield f"*SURFACE,NAME={surface},TYPE=ELEMENT"
-    yield from _faces(body, one)
-    yield f"*COUPLING,REF NODE={moving},SURFACE={surface},CONSTRAINT NAME=C_{_name(one)}"
+    yield from _faces(body, attachment)
+    yield f"*COUPLING,REF NODE={moving},SURFACE={surface},CONSTRAINT NAME=C_{_name(attachment)}"
     yield "*DISTRIBUTING"
     yield "1,6"
 
 
-def _faces(body: Body, one: Attachment) -> Iterator[str]:
-    """Faces of the surface whose corners are all nodes of the load."""
+def _faces(body: Body, attachment: Attachment) -> Iterator[str]:
+    """Yield the faces of the surface whose corners are all nodes of the load."""
     counts: dict[tuple[int, ...], int] = {}
     faces: list[tuple[int, int, tuple[int, ...]]] = []
-    chosen, element = set(one.nodes.tolist()), 0
+    chosen, element = set(attachment.nodes.tolist()), 0
     for name, cells in body.mesh.blocks:
         for nodes in cells.tolist():
             element += 1
@@ -125,7 +128,8 @@ def _faces(body: Body, one: Attachment) -> Iterator[str]:
     if not outside:
         raise DataError(
             f"{body.mesh.name}: no face of the surface has all of its corners among the "
-            f"{len(one.nodes)} nodes of load {one.name}; take more of them, or --coupling rigid"
+            f"{len(attachment.nodes)} nodes of load {attachment.name}; take more nodes, or "
+            "--coupling rigid"
         )
     yield from outside
 
@@ -138,8 +142,8 @@ def _step(
     yield "*STEP"
     yield "*STATIC"
     yield "*CLOAD,OP=NEW"
-    for one, force, moment in zip(body.loaded, step.forces, step.moments * L, strict=True):
-        moving, turning = references[one.name]
+    for attachment, force, moment in zip(body.loaded, step.forces, step.moments * L, strict=True):
+        moving, turning = references[attachment.name]
         first = 1 if turning != moving else 4
         yield from (f"{moving},{i},{value:.12g}" for i, value in enumerate(force, 1))
         yield from (f"{turning},{i},{value:.12g}" for i, value in enumerate(moment, first))
@@ -156,19 +160,21 @@ def _step(
 
 
 def amplitude_lines(body: Body) -> Iterator[str]:
-    """The lines of an input file with one step over the whole motion, loads as amplitudes.
+    """Yield the lines of an input file with one step over the whole motion.
 
-    CalculiX goes through the times of a static step with large displacements only, and takes one
-    amplitude a node and direction: gravity and inertia are the field of the mass centre, the part
-    by rotation is left out. Source: as above, sections *AMPLITUDE, *STATIC, *STEP.
+    Loads are amplitudes. CalculiX resolves the times of a static step only with large
+    displacements, and takes one amplitude per node and direction. Gravity and inertia are
+    therefore the field at the mass centre; the part by rotation is left out.
+
+    Source: CalculiX CrunchiX USER'S MANUAL, sections *AMPLITUDE, *STATIC, *STEP.
     """
     stamps, L = body.history.stamps, body.units.per_metre
     times = (stamps - stamps[0]) * NANOSECOND
     yield from model_lines(body)
     references, forces, fields = references_of(body), list[str](), list[str]()
-    for one in body.loaded:
-        force, moment = load_over_time(body, one)
-        moving, turning = references[one.name]
+    for attachment in body.loaded:
+        force, moment = load_over_time(body, attachment)
+        moving, turning = references[attachment.name]
         first = 1 if turning != moving else 4
         for node, start, values in ((moving, 1, force), (turning, first, moment * L)):
             for axis, curve in enumerate(values.T):
@@ -205,10 +211,10 @@ def _listed(entries: Sequence[int]) -> Iterator[str]:
         yield ",".join(map(str, entries[i : i + _A_LINE])) + more
 
 
-def _name(one: Attachment) -> str:
-    return "L_" + re.sub(r"\W", "_", one.name)
+def _name(attachment: Attachment) -> str:
+    return "L_" + re.sub(r"\W", "_", attachment.name)
 
 
 def text_of(lines: Iterable[str]) -> bytes:
-    """The lines as a file."""
+    """Join lines to the content of a file."""
     return ("\n".join(lines) + "\n").encode()

@@ -39,8 +39,9 @@ def feb_lines(body: Body, steps: Sequence[Step]) -> Iterator[str]:
     yield "</LoadData>"
     yield from (*field, *rigid)
     yield "<Boundary>"
-    for one in body.attachments:
-        yield f'<bc name={_q(one)} type="rigid" node_set={_q(one)}><rb>{_rb(one)}</rb></bc>'
+    for attachment in body.attachments:
+        name, rigid_body = _q(attachment), _rb(attachment)
+        yield f'<bc name={name} type="rigid" node_set={name}><rb>{rigid_body}</rb></bc>'
     yield "</Boundary>"
     yield '<Output><plotfile type="febio"><var type="displacement"/><var type="stress"/>'
     yield "</plotfile></Output>"
@@ -54,9 +55,9 @@ def _materials(body: Body) -> Iterator[str]:
     yield '<material id="1" name="solid" type="isotropic elastic">'
     yield f"<density>{density:.12g}</density>"
     yield f"<E>{young / L**2:.12g}</E><v>{poisson:.12g}</v></material>"
-    for i, one in enumerate(body.attachments, 2):
-        centre = ",".join(f"{v:.12g}" for v in one.reference * L)
-        yield f'<material id="{i}" name="{_rb(one)}" type="rigid body">'
+    for i, attachment in enumerate(body.attachments, 2):
+        centre = ",".join(f"{v:.12g}" for v in attachment.reference * L)
+        yield f'<material id="{i}" name="{_rb(attachment)}" type="rigid body">'
         yield f"<density>{density:.12g}</density>"
         yield f"<center_of_mass>{centre}</center_of_mass></material>"
     yield "</Material>"
@@ -65,7 +66,7 @@ def _materials(body: Body) -> Iterator[str]:
 def _mesh(body: Body) -> Iterator[str]:
     points, L = body.mesh.points, body.units.per_metre
     small = _ANCHOR * body.mesh.diagonal * np.vstack((np.zeros(3), np.eye(3)))
-    every = [points, *(one.reference + small for one in body.attachments)]
+    every = [points, *(attachment.reference + small for attachment in body.attachments)]
     yield '<Mesh><Nodes name="nodes">'
     for i, (x, y, z) in enumerate(np.concatenate(every) * L, 1):
         yield f'<node id="{i}">{x:.12g},{y:.12g},{z:.12g}</node>'
@@ -77,14 +78,14 @@ def _mesh(body: Body) -> Iterator[str]:
             element += 1
             yield f'<elem id="{element}">{",".join(map(str, nodes))}</elem>'
         yield "</Elements>"
-    for i, one in enumerate(body.attachments):
+    for i, attachment in enumerate(body.attachments):
         first = len(points) + 4 * i + 1
         nodes = ",".join(str(first + j) for j in range(4))
-        yield f'<Elements type="tet4" name="{_rb(one)}">'
+        yield f'<Elements type="tet4" name="{_rb(attachment)}">'
         yield f'<elem id="{element + i + 1}">{nodes}</elem></Elements>'
-    for one in body.attachments:
-        nodes = ",".join(map(str, (one.nodes + 1).tolist()))
-        yield f"<NodeSet name={_q(one)}>{nodes}</NodeSet>"
+    for attachment in body.attachments:
+        nodes = ",".join(map(str, (attachment.nodes + 1).tolist()))
+        yield f"<NodeSet name={_q(attachment)}>{nodes}</NodeSet>"
     yield "</Mesh>"
 
 
@@ -92,22 +93,22 @@ def _domains(body: Body) -> Iterator[str]:
     yield "<MeshDomains>"
     for i in range(len(body.mesh.blocks)):
         yield f'<SolidDomain name="solid_{i}" mat="solid"/>'
-    for one in body.attachments:
-        yield f'<SolidDomain name="{_rb(one)}" mat="{_rb(one)}"/>'
+    for attachment in body.attachments:
+        yield f'<SolidDomain name="{_rb(attachment)}" mat="{_rb(attachment)}"/>'
     yield "</MeshDomains>"
 
 
 def _rigid(body: Body, steps: Sequence[Step], curves: list[Array]) -> Iterator[str]:
     yield "<Rigid>"
     dofs = "".join(f"<{d}_dof>1</{d}_dof>" for _, three in _DOFS for d in three)
-    yield f'<rigid_bc type="rigid_fixed"><rb>{_rb(body.held)}</rb>{dofs}</rigid_bc>'
-    for i, one in enumerate(body.loaded):
+    yield f'<rigid_bc type="rigid_fixed"><rb>{_rb(body.fixed)}</rb>{dofs}</rigid_bc>'
+    for i, attachment in enumerate(body.loaded):
         moments = np.array([step.moments[i] for step in steps]) * body.units.per_metre
         both = np.array([step.forces[i] for step in steps]), moments
         for (kind, three), values in zip(_DOFS, both, strict=True):
             for dof, curve in zip(three, values.T, strict=True):
                 curves.append(curve)
-                yield f'<rigid_load type="{kind}"><rb>{_rb(one)}</rb>'
+                yield f'<rigid_load type="{kind}"><rb>{_rb(attachment)}</rb>'
                 yield f'<dof>{dof}</dof><value lc="{len(curves)}">1</value></rigid_load>'
     yield "</Rigid>"
 
@@ -129,9 +130,9 @@ def _density(body: Body) -> float:
     return body.material.density / (L**4 if L != 1.0 else 1.0)
 
 
-def _rb(one: Attachment) -> str:
-    return "rigid_" + "".join(c if c.isalnum() else "_" for c in one.name)
+def _rb(attachment: Attachment) -> str:
+    return "rigid_" + "".join(c if c.isalnum() else "_" for c in attachment.name)
 
 
-def _q(one: Attachment) -> str:
-    return quoteattr(one.name)
+def _q(attachment: Attachment) -> str:
+    return quoteattr(attachment.name)

@@ -1,8 +1,8 @@
-"""Loads as boundary conditions of finite elements: which mesh, which nodes, which file."""
+"""Loads as boundary conditions of finite elements, for several file formats."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.mesh import Mesh, mass_of, read_mesh
@@ -25,19 +25,22 @@ _NOTHING: Mapping[str, str] = {}
 
 
 class MeshTask(NamedTuple):
-    """What is asked of the mesh.
+    """A solid of finite elements that takes the loads.
 
     Attributes:
-        mesh: The mesh, or its file.
-        young: Young's modulus of its material [Pa, or MPa with units mm].
-        poisson: Its Poisson's ratio [-].
-        density: [kg/m^3, or t/mm^3]; None for that which gives the mesh the mass of the body.
-        pose: Of the axes of the mesh in those of the body, see `read_mesh`.
-        attach: Load -> set of nodes, or radius about its point [m, or mm].
-        radius: Of loads that `attach` does not name; None where it names all.
-        support: Load whose nodes are held; None for the first.
-        coupling: `rigid` or `distributing`.
-        amplitudes: One step over the whole motion in place of a step an instant.
+        mesh: Mesh of solid elements, or its file, such as .msh, .vtu or .inp (extra fem).
+        young: Young's modulus [Pa, or MPa with units mm]; required with a mesh.
+        poisson: Poisson's ratio [-].
+        density: Density [kg/m^3, or t/mm^3 with units mm]. By default the mesh gets the mass of
+            the body.
+        pose: Pose of the axes of the mesh in those of the link, as x, y, z [m, or mm] and roll,
+            pitch, yaw [rad]. By default the axes are the same.
+        attach: Nodes that take a load: the name of a set, or a radius about the point of the load
+            [m, or mm].
+        radius: Radius about the point of each load that `attach` does not name [m, or mm].
+        support: Load whose nodes are fixed. By default it is the first.
+        coupling: How the nodes share a load.
+        amplitudes: Write one step over the whole motion in place of one for each instant (.inp).
     """
 
     mesh: Mesh | Path
@@ -48,17 +51,17 @@ class MeshTask(NamedTuple):
     attach: Mapping[str, str] = _NOTHING
     radius: float | None = None
     support: str | None = None
-    coupling: str = "rigid"
+    coupling: Literal["rigid", "distributing"] = "rigid"
     amplitudes: bool = False
 
 
 def body_of(
     history: History, instants: Sequence[Instant], task: MeshTask, units: Units
 ) -> tuple[Body, list[Step], str]:
-    """The body as finite elements, its steps, and a line about how well the mesh fits.
+    """Return the body as finite elements, its steps, and a line about the fit of the mesh.
 
     Raises:
-        DataError: A mesh, set, material or support that cannot be used.
+        DataError: The mesh, a set, the material or the support cannot be used.
     """
     if task.coupling not in COUPLINGS:
         raise DataError(f"--coupling {task.coupling}: accepted: {', '.join(COUPLINGS)}")
@@ -84,27 +87,27 @@ def body_of(
     return body, steps, check_steps(body, steps)
 
 
-def _support(history: History, attachments: Sequence[Attachment], given: str | None) -> str:
-    """Name of the load whose nodes are held."""
-    names = [one.name for one in attachments]
+def _support(history: History, attachments: Sequence[Attachment], support: str | None) -> str:
+    """Return the name of the load whose nodes are fixed."""
+    names = [attachment.name for attachment in attachments]
     if not names:
-        raise DataError(f"{history.body}: no load acts on it that could hold a mesh")
-    if given is not None and given not in names:
-        raise DataError(f"--support {given}: no such load; accepted: {', '.join(names)}")
-    return given or names[0]
+        raise DataError(f"{history.body}: no load acts on it, so nothing can support a mesh")
+    if support is not None and support not in names:
+        raise DataError(f"--support {support}: no such load; accepted: {', '.join(names)}")
+    return support or names[0]
 
 
 def write_body(
     body: Body, steps: Sequence[Step], out: Path, say: Say, amplitudes: bool = False
 ) -> None:
-    """Write the file that its suffix says: .inp, .feb, .vtu.
+    """Write a file in the format of its suffix: .inp, .feb or .vtu.
 
     Args:
-        say: Is told what was written.
-        amplitudes: One step over the whole motion, for .inp.
+        say: Called with each line for people.
+        amplitudes: Whether an .inp has one step over the whole motion.
 
     Raises:
-        DataError: What the format cannot hold, or a place that cannot be written to.
+        DataError: The format cannot hold the steps, or the file cannot be written.
     """
     if amplitudes and out.suffix != ".inp":
         raise DataError(f"{out}: --amplitudes goes with .inp; .feb has load curves by itself")
@@ -117,8 +120,8 @@ def write_body(
 
     with replacing(out) as file:
         file.write(text_of(_lines(body, steps, out, amplitudes, say)))
-    steps_said = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
-    say(f"{steps_said}, {len(body.mesh.points)} nodes -> {out}")
+    count = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
+    say(f"{count}, {len(body.mesh.points)} nodes -> {out}")
 
 
 def _lines(body: Body, steps: Sequence[Step], out: Path, amplitudes: bool, say: Say) -> Any:

@@ -76,7 +76,7 @@ class Mesh(NamedTuple):
 
     @property
     def diagonal(self) -> float:
-        """Of its bounding box [m]."""
+        """Diagonal of its bounding box [m]."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
 
@@ -278,14 +278,14 @@ def mass_of(points: Array, blocks: Sequence[tuple[str, Cells]]) -> MeshMass:
 
 def integration(points: Array, kind: Kind, cells: Cells) -> list[tuple[Array, Array, Array]]:
     """For each integration point: shape functions, places and volumes of all cells there."""
-    found = []
+    rules = []
     for xi, weight in zip(kind.points, kind.weights, strict=True):
         shape, slope = kind.shapes(xi)
         nodes = points[cells]
         jacobian = np.einsum("cni,nj->cij", nodes, slope)
         places = np.einsum("n,cni->ci", shape, nodes)
-        found.append((shape, places, np.linalg.det(jacobian) * weight))
-    return found
+        rules.append((shape, places, np.linalg.det(jacobian) * weight))
+    return rules
 
 
 def nodal_forces(

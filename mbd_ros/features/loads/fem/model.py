@@ -1,4 +1,4 @@
-"""A body as finite elements: mesh, material, what holds it, and the loads of each step."""
+"""A body as finite elements: mesh, material, support, and the loads of each step."""
 
 from __future__ import annotations
 
@@ -18,23 +18,25 @@ from mbd_ros.features.loads.free_body import inertial_load
 from mbd_ros.features.loads.history import History, Units
 
 COUPLINGS = "rigid", "distributing"
-_NOTHING = 1.0e-9  # of the largest load: less is rounding and needs no nodes
-DENSITIES = (1.0, 30_000.0)  # kg/m^3, of what bodies are made of
-_ALIEN = 0.5  # of the largest load: a mesh that is so far off is not that of the body
+_ROUNDING = 1.0e-9  # of the largest load: smaller loads need no nodes
+DENSITIES = (1.0, 30_000.0)  # kg/m^3, range of materials
+_ALIEN = 0.5  # of the largest load: a larger residual shows the mesh of another body
 
 
 class Body(NamedTuple):
-    """What all writers write, in SI units and axes of the link.
+    """A finite-element model for all writers, in SI units and axes of the link.
 
     Attributes:
-        mass: Of the mesh with density 1.
-        material: What it is made of.
-        attachments: Nodes of the loads, that of the support among them.
-        support: Name of the load whose nodes are held: its reaction is what the model gives back.
+        history: Loads on the body over time.
+        mesh: The mesh.
+        mass: Mass properties of the mesh with density 1.
+        material: Material of the mesh.
+        attachments: Nodes of the loads, including that of the support.
+        support: Name of the load whose nodes are fixed, so that it becomes a reaction.
         coupling: `rigid` or `distributing`.
         rows: Samples that are steps, in order.
-        labels: What marks them.
-        units: Of the file.
+        labels: Names of the peaks or instants at these samples.
+        units: Units of the file.
     """
 
     history: History
@@ -49,23 +51,25 @@ class Body(NamedTuple):
     units: Units
 
     @property
-    def held(self) -> Attachment:
-        """Nodes of the support."""
-        return next(one for one in self.attachments if one.name == self.support)
+    def fixed(self) -> Attachment:
+        """Attachment of the support."""
+        return next(
+            attachment for attachment in self.attachments if attachment.name == self.support
+        )
 
     @property
     def loaded(self) -> list[Attachment]:
-        """Nodes of all other loads."""
-        return [one for one in self.attachments if one.name != self.support]
+        """Attachments of all other loads."""
+        return [attachment for attachment in self.attachments if attachment.name != self.support]
 
 
 class Material(NamedTuple):
-    """Linear elastic and isotropic.
+    """A linear elastic, isotropic material.
 
     Attributes:
         young: Young's modulus [Pa].
         poisson: Poisson's ratio [-].
-        density: [kg/m^3].
+        density: Density [kg/m^3].
     """
 
     young: float
@@ -77,15 +81,16 @@ class Step(NamedTuple):
     """Loads at one instant.
 
     Attributes:
-        time: [s].
-        label: What marks it.
-        forces: One for each of `Body.loaded` [N], shape (k, 3).
-        moments: About their references [N·m], shape (k, 3).
+        time: Time [s].
+        label: Names of the peaks or instants.
+        forces: Force of each attachment of `Body.loaded` [N], shape (k, 3).
+        moments: Moments about their reference points [N·m], shape (k, 3).
         gravity: Gravity less the acceleration of the origin [m/s^2], shape (3,).
         spin: Angular velocity [rad/s], shape (3,).
-        turning: Of the angular acceleration on nodes [N], shape (n, 3).
-        reaction: Force and moment about its reference that the support must give, shape (6,).
-        known: The same as the mechanism has it, shape (6,).
+        turning: Nodal forces of the angular acceleration [N], shape (n, 3).
+        reaction: Force of the support, and moment about its reference point, in the finite-element
+            model [N, N·m], shape (6,).
+        known: The same load in the mechanism [N, N·m], shape (6,).
     """
 
     time: float
@@ -100,24 +105,25 @@ class Step(NamedTuple):
 
 
 def step_of(body: Body, index: int) -> Step:
-    """Loads of one of the steps."""
+    """Return the loads of a step."""
     history, row, density = body.history, body.rows[index], body.material.density
     motion = history.motion_at(row)
     turn = motion.angular_acceleration
-    pairs = [_about(history, row, one) for one in body.attachments]
-    at = {one.name: pair for one, pair in zip(body.attachments, pairs, strict=True)}
+    pairs = [_about(history, row, attachment) for attachment in body.attachments]
+    at = {attachment.name: pair for attachment, pair in zip(body.attachments, pairs, strict=True)}
     forces, moments = (
-        np.array([at[one.name][i] for one in body.loaded]).reshape(-1, 3) for i in (0, 1)
+        np.array([at[attachment.name][i] for attachment in body.loaded]).reshape(-1, 3)
+        for i in (0, 1)
     )
     points, blocks = body.mesh.points, body.mesh.blocks
     turning = nodal_forces(points, blocks, lambda r: -density * np.cross(turn, r))
-    where = body.held.reference
+    where = body.fixed.reference
     inertia = _inertia(body)
     inertial, twist = inertial_load(inertia, motion)
     force = -forces.sum(axis=0) - inertial
     moment = -moments.sum(axis=0) - twist - np.cross(inertia.lever - where, inertial)
-    for one, push in zip(body.loaded, forces, strict=True):
-        moment -= np.cross(one.reference - where, push)
+    for attachment, push in zip(body.loaded, forces, strict=True):
+        moment -= np.cross(attachment.reference - where, push)
     return Step(
         *(history.time(row), body.labels[index], forces, moments),
         *(motion.gravity - motion.acceleration, motion.angular_velocity, turning),
@@ -136,18 +142,18 @@ def _inertia(body: Body) -> _Inertia:
     return _Inertia(density * mass.volume, mass.centre, density * mass.inertia)
 
 
-def _about(history: History, row: int, one: Attachment) -> tuple[Array, Array]:
-    """A load about the reference of its nodes."""
-    force = history.force[row, one.slot]
-    arm = history.point[row, one.slot] - one.reference
-    return force, history.moment[row, one.slot] + np.cross(arm, force)
+def _about(history: History, row: int, attachment: Attachment) -> tuple[Array, Array]:
+    """Return force and moment of a load about the reference point of its nodes."""
+    force = history.force[row, attachment.slot]
+    arm = history.point[row, attachment.slot] - attachment.reference
+    return force, history.moment[row, attachment.slot] + np.cross(arm, force)
 
 
 def check_material(young: float, poisson: float, density: float, where: str) -> Material:
-    """A material that there can be.
+    """Return a material after checks of its numbers.
 
     Raises:
-        DataError: Names the number and what is accepted.
+        DataError: A number is not accepted; the message names its option and accepted values.
     """
     if not (math.isfinite(young) and young > 0.0):
         raise DataError(f"--young {young:g}: accepted: > 0")
@@ -162,26 +168,28 @@ def check_material(young: float, poisson: float, density: float, where: str) -> 
 
 
 def check_steps(body: Body, steps: Sequence[Step]) -> str:
-    """Compare what the support must give with what the mechanism knows of it.
+    """Compare the reactions of the support with the loads in the mechanism.
 
     Returns:
         A line for people.
 
     Raises:
-        DataError: The mesh cannot be that of the body: other units, another place, or mass.
+        DataError: The reactions differ so much that units, pose or mass of the mesh are wrong.
     """
     size = max(body.mesh.diagonal, 1e-12)
     scale, off = 0.0, 0.0
     for step in steps:
         parts = [*step.forces, step.known[:3], step.known[3:] / size, *(step.moments / size)]
         scale = max(scale, *(float(np.linalg.norm(each)) for each in parts))
-        left = step.reaction - step.known
-        off = max(off, *(float(np.linalg.norm(e)) for e in (left[:3], left[3:] / size)))
+        residual = step.reaction - step.known
+        parts = [residual[:3], residual[3:] / size]
+        off = max(off, *(float(np.linalg.norm(each)) for each in parts))
     share = off / scale if scale else 0.0
-    mass, own = body.material.density * body.mass.volume, float(body.history.inertia.mass)
+    mass = body.material.density * body.mass.volume
+    expected = float(body.history.inertia.mass)
     text = (
-        f"mesh of {mass:.4g} kg for a body of {own:.4g} kg: the support {body.support} gives "
-        f"{share:.2g} of the largest load more or less than in the mechanism"
+        f"mesh of {mass:.4g} kg for a body of {expected:.4g} kg: the reaction of the support "
+        f"{body.support} differs from the mechanism by {share:.2g} of the largest load"
     )
     if share > _ALIEN:
         raise DataError(f"{body.mesh.name}: {text}; check --units, --mesh-pose and --density")
@@ -189,7 +197,7 @@ def check_steps(body: Body, steps: Sequence[Step]) -> str:
 
 
 def centre_field(body: Body) -> Array:
-    """Gravity less the acceleration of the mass centre of the mesh [m/s^2], shape (n, 3)."""
+    """Return gravity less the acceleration of the mass centre of the mesh [m/s^2], (n, 3)."""
     gravity, push, spin, turn = body.history.motion
     c = body.mass.centre
     field: Array = gravity - push - cross(turn, c) - cross(spin, cross(spin, c))
@@ -197,31 +205,32 @@ def centre_field(body: Body) -> Array:
 
 
 def rotation_share(body: Body) -> float:
-    """Forces of the field of rotation, as a share of the largest load [-]."""
+    """Return the inertial forces by rotation, as a share of the largest load [-]."""
     _, _, spin, turn = body.history.motion
     sizes = np.linalg.norm(body.history.force, axis=2)
     largest = float(sizes.max(initial=0.0))
     far = float(np.linalg.norm(body.mesh.points - body.mass.centre, axis=1).max())
     rate = np.linalg.norm(turn, axis=1) + np.linalg.norm(spin, axis=1) ** 2
-    own = body.material.density * body.mass.volume * far * float(rate.max())
-    return own / largest if largest else 0.0
+    force = body.material.density * body.mass.volume * far * float(rate.max())
+    return force / largest if largest else 0.0
 
 
-def load_over_time(body: Body, one: Attachment) -> tuple[Array, Array]:
-    """A load and its moment about the reference of its nodes [N, N·m], shape (n, 3) each."""
+def load_over_time(body: Body, attachment: Attachment) -> tuple[Array, Array]:
+    """Return force and moment of a load about its reference point [N, N·m], (n, 3) each."""
     history = body.history
-    force = history.force[:, one.slot]
-    arm = history.point[:, one.slot] - one.reference
-    return force, history.moment[:, one.slot] + cross(arm, force)
+    force = history.force[:, attachment.slot]
+    arm = history.point[:, attachment.slot] - attachment.reference
+    return force, history.moment[:, attachment.slot] + cross(arm, force)
 
 
 class Attachment(NamedTuple):
     """Nodes that take a load together.
 
     Attributes:
-        name: Of the load.
-        slot: Its place in the history.
-        reference: Where the load is written about [m], shape (3,).
+        name: Name of the load.
+        slot: Index of the load in the history.
+        reference: Reference point of the load [m], shape (3,).
+        nodes: Indices of the nodes.
     """
 
     name: str
@@ -231,101 +240,102 @@ class Attachment(NamedTuple):
 
 
 def attachments_of(
-    history: History, mesh: Mesh, given: Mapping[str, str], radius: float | None
+    history: History, mesh: Mesh, attach: Mapping[str, str], radius: float | None
 ) -> list[Attachment]:
-    """Nodes of every load.
+    """Find the nodes of every load.
 
     Args:
-        given: Load -> name of a set of nodes, or a radius about its point [m].
-        radius: Of loads that are not given [m]; None where all are.
+        history: Loads on the body over time.
+        mesh: The mesh.
+        attach: Set of nodes, or radius about the point of the load [m], by the name of a load.
+        radius: Radius for loads that `attach` does not name [m]; None without one.
 
     Raises:
-        DataError: A load that is unknown, has no nodes, or shares some with another; an unknown
-            set; nodes that are nowhere near their load.
+        DataError: A load is unknown, has no nodes, or shares nodes with another load; a set is
+            unknown, or its nodes are far from the load.
     """
     names = [slot.name for slot in history.slots]
-    for name in given:
+    for name in attach:
         if name not in names:
             raise DataError(f"--attach {name}: no such load; accepted: {', '.join(names)}")
     largest = max(float(np.abs(each).max(initial=0.0)) for each in (history.force, history.moment))
-    least, found = _NOTHING * largest, []
+    least, attachments = _ROUNDING * largest, list[Attachment]()
     for slot, name in enumerate(names):
         values = history.force[:, slot], history.moment[:, slot]
         if max(float(np.abs(each).max(initial=0.0)) for each in values) <= least:
             continue
         reference = history.point[:, slot].mean(axis=0)
-        nodes = _nodes(mesh, name, reference, given, radius)
-        found.append(Attachment(name, slot, reference, nodes))
-    _check_apart(found)
-    return found
+        nodes = _nodes(mesh, name, reference, attach.get(name, radius))
+        attachments.append(Attachment(name, slot, reference, nodes))
+    _refuse_shared_nodes(attachments)
+    return attachments
 
 
-def _nodes(
-    mesh: Mesh, name: str, reference: Array, given: Mapping[str, str], radius: float | None
-) -> Nodes:
-    word = given.get(name, radius)
-    if word is None:
+def _nodes(mesh: Mesh, name: str, reference: Array, place: str | float | None) -> Nodes:
+    """Find the nodes of a load in a set, or within a radius [m]."""
+    if place is None:
         known = ", ".join(mesh.sets) or "none"
         raise DataError(
             f"load {name} has no nodes: --attach {name}=SET, {name}=RADIUS, or --radius for all; "
             f"sets of {mesh.name}: {known}"
         )
-    if isinstance(word, str) and word in mesh.sets:
-        nodes = np.unique(mesh.sets[word])
+    if isinstance(place, str) and place in mesh.sets:
+        nodes = np.unique(mesh.sets[place])
         centre = mesh.points[nodes].mean(axis=0) if len(nodes) else reference
         off = float(np.linalg.norm(centre - reference))
         if not len(nodes) or off > 2.0 * mesh.diagonal:
             raise DataError(
-                f"{mesh.name}: the {len(nodes)} nodes of set {word} are {off:.4g} m from load "
+                f"{mesh.name}: the {len(nodes)} nodes of set {place} are {off:.4g} m from load "
                 f"{name}; check --units and --mesh-pose"
             )
         return nodes
     try:
-        about = float(word)
+        radius = float(place)
     except ValueError:
         known = ", ".join(mesh.sets) or "none"
         raise DataError(
-            f"--attach {name}={word}: no such set; sets of {mesh.name}: {known}"
+            f"--attach {name}={place}: no such set; sets of {mesh.name}: {known}"
         ) from None
-    if not (np.isfinite(about) and about > 0.0):
-        raise DataError(f"--attach {name}: a radius of {about:g} m; accepted: > 0")
+    if not (np.isfinite(radius) and radius > 0.0):
+        raise DataError(f"--attach {name}: a radius of {radius:g} m; accepted: > 0")
     far = np.linalg.norm(mesh.points - reference, axis=1)
-    nodes = np.flatnonzero(far <= about)
+    nodes = np.flatnonzero(far <= radius)
     if len(nodes) < 3:
         raise DataError(
-            f"{mesh.name}: {len(nodes)} nodes within {about:.4g} m of load {name}, accepted: 3 or "
-            f"more; the nearest is {far.min():.4g} m away; check --units and --mesh-pose"
+            f"{mesh.name}: {len(nodes)} nodes within {radius:.4g} m of load {name}, accepted: 3 "
+            f"or more; the nearest is {far.min():.4g} m away; check --units and --mesh-pose"
         )
     return nodes
 
 
-def _check_apart(found: Sequence[Attachment]) -> None:
-    """Refuse nodes that two loads would hold."""
-    for i, one in enumerate(found):
-        for other in found[i + 1 :]:
-            if shared := np.intersect1d(one.nodes, other.nodes).size:
+def _refuse_shared_nodes(attachments: Sequence[Attachment]) -> None:
+    for i, attachment in enumerate(attachments):
+        for other in attachments[i + 1 :]:
+            if shared := np.intersect1d(attachment.nodes, other.nodes).size:
                 raise DataError(
-                    f"loads {one.name} and {other.name} share {shared} nodes; give them sets or "
-                    "radii that do not"
+                    f"loads {attachment.name} and {other.name} share {shared} nodes; give them "
+                    "disjoint sets or smaller radii"
                 )
 
 
 def check_tied(mesh: Mesh, attachments: Sequence[Attachment], support: str) -> None:
-    """Refuse solids that nothing ties to the nodes of the support: they would fly away.
+    """Refuse solids that are not connected to the nodes of the support.
 
     Raises:
-        DataError: Names a node of one.
+        DataError: There is such a solid; the message names one of its nodes.
     """
-    groups = [cells for _, cells in mesh.blocks] + [one.nodes[None] for one in attachments]
+    groups = [cells for _, cells in mesh.blocks] + [
+        attachment.nodes[None] for attachment in attachments
+    ]
     pairs = [(np.repeat(c[:, 0], c.shape[1] - 1), c[:, 1:].ravel()) for c in groups]
     i, j = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
     n = len(mesh.points)
     _, part = connected_components(coo_array((np.ones(len(i)), (i, j)), (n, n)), directed=False)
-    held = next(one.nodes[0] for one in attachments if one.name == support)
-    loose = np.flatnonzero(part != part[held])
+    fixed = next(attachment.nodes[0] for attachment in attachments if attachment.name == support)
+    loose = np.flatnonzero(part != part[fixed])
     if len(loose):
         place = ", ".join(f"{value:.4g}" for value in mesh.points[loose[0]])
         raise DataError(
-            f"{mesh.name}: {len(loose)} nodes, as that at {place} m of the body, share no element "
-            f"with what {support} holds; solids that touch must share nodes"
+            f"{mesh.name}: {len(loose)} nodes, such as that at {place} m, are not connected to "
+            f"the support {support} by elements; solids that touch must share nodes"
         )

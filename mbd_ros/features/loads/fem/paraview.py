@@ -29,7 +29,7 @@ def write_series(body: Body, steps: Sequence[Step], out: Path) -> int:
         raise DataError(install_hint("meshio")) from error
     L, mesh = body.units.per_metre, body.mesh
     count, k = len(mesh.points), len(body.loaded)
-    at = np.array([one.reference for one in body.loaded]).reshape(-1, 3)
+    at = np.array([attachment.reference for attachment in body.loaded]).reshape(-1, 3)
     points = np.concatenate((mesh.points, at)) * L
     cells = [*mesh.blocks, ("vertex", np.arange(count, count + k).reshape(-1, 1))]
     number = np.concatenate((np.zeros(count), np.arange(1, k + 1)))

@@ -1,4 +1,4 @@
-"""Words of `mbd-ros scale`."""
+"""The command `mbd-ros scale`: a scene that is scaled to a person."""
 
 import argparse
 
@@ -9,17 +9,23 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `scale` understands."""
+    """Declare the arguments of `scale`."""
     add_scene(parser)
-    parser.add_argument("static", type=path_word, help="markers of a person who stands still")
-    parser.add_argument("task", type=path_word, help="task file with a section scale")
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="folder for both files (required)"
+        "static", type=path_word, help="Recorded markers of a person who stands still."
+    )
+    parser.add_argument("task", type=path_word, help="Task file with a section scale.")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=path_word,
+        required=True,
+        help="Folder for the URDF and the scene file (required).",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Scale the scene, write it and return the exit code."""
     from mbd_ros.features.markers.scale.job import scale_to
     from mbd_ros.scene.reader import load_scene
 

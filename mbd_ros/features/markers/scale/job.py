@@ -45,27 +45,27 @@ _WIDTH = 140
 def scaled(
     scene: Scene, static: Source, task: ScaleTask | str | Path, say: Say | None = None
 ) -> Scene:
-    """The scene with segments of the size that a static trial shows, and its total mass.
+    """Scale the segments and the mass of a scene to a person, from a static trial.
 
     Args:
-        scene: The scene, of one robot with markers.
+        scene: The scene, with one robot and its markers.
         static: Result or file of markers of a person who stands still.
-        task: What is measured, or the file of it.
-        say: Is called with each line for people.
+        task: Measurements of the segments, or their task file.
+        say: Called with each line for people.
 
     Raises:
-        DataError: Markers that cannot be read or measured.
-        SceneError: A task or a scene that this does not serve.
+        DataError: The markers cannot be read, or a measurement is not possible.
+        SceneError: The task or the scene cannot be used.
     """
-    asked = task if isinstance(task, ScaleTask) else _read(scene, task)
-    entries, text = scaled_entries(scene, static, asked, say or (lambda line: None))
+    measurements = task if isinstance(task, ScaleTask) else _read(scene, task)
+    entries, text = scaled_entries(scene, static, measurements, say or (lambda line: None))
     return scene_from(entries, urdf=text)
 
 
 def _read(scene: Scene, path: str | Path) -> ScaleTask:
     parts = read_task(path, scene).parts
     if "scale" not in parts:
-        raise SceneError(f"{path}: no section 'scale'")
+        raise SceneError(f"{path}: has no section 'scale'")
     task: ScaleTask = parts["scale"]
     return task
 
@@ -74,18 +74,18 @@ def scale_to(scene: Scene, static: Path, task: Path, folder: Path, say: Say) -> 
     """Write <name>.urdf and <name>.yaml of a scaled scene; both, or none.
 
     Raises:
-        MbdError: As `scaled`, or a place that cannot be written to.
+        MbdError: An error of `scaled`, or a file that cannot be written.
     """
-    asked = _read(scene, task)
+    measurements = _read(scene, task)
     with about(task):
-        entries, text = scaled_entries(scene, static, asked, say)
+        entries, text = scaled_entries(scene, static, measurements, say)
     scene_from(entries, urdf=text)
-    name = file_stem(asked.name)
+    name = file_stem(measurements.name)
     robot = {"urdf": f"{name}.urdf", **entries["robot"]}
     body = yaml.safe_dump(
         {**entries, "robot": robot}, sort_keys=False, default_flow_style=None, width=_WIDTH
     )
-    head = comment_line(f"{asked.name}: {Path(scene.name).name}, scaled by {static.name}.")
+    head = comment_line(f"{measurements.name}: {Path(scene.name).name}, scaled by {static.name}.")
     write_files(folder, {f"{name}.urdf": text.encode(), f"{name}.yaml": (head + body).encode()})
     say(f"{folder / f'{name}.yaml'}")
 
@@ -93,30 +93,34 @@ def scale_to(scene: Scene, static: Path, task: Path, folder: Path, say: Say) -> 
 def scaled_entries(
     scene: Scene, static: Source, task: ScaleTask, say: Say
 ) -> tuple[dict[str, Any], str]:
-    """Entries of the scaled scene without its description, and the description."""
+    """Return the entries of the scaled scene without its description, and the description."""
     robot = scene.robot
-    if len(robot.recipes) != 1 or robot.recipes[0].name or robot.recipes[0].shape:
-        raise SceneError(f"{scene.name}: scale serves scenes with one robot")
+    if (
+        len(robot.model_sources) != 1
+        or robot.model_sources[0].name
+        or robot.model_sources[0].shape
+    ):
+        raise SceneError(f"{scene.name}: scale accepts scenes with one robot only")
     capture = read_capture(static, task.unit).between(task.begin, task.end)
     factors = factors_of(scene, capture, task)
-    recipe = robot.recipes[0]
-    urdf = ScaledUrdf(recipe.text, factors, task.mass, task.by_volume)
-    stretch = {(recipe.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
+    model_source = robot.model_sources[0]
+    urdf = ScaledUrdf(model_source.text, factors, task.mass, task.by_volume)
+    stretch = {(model_source.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
     entries = scaled_sections(scene.entries, factors, stretch)
-    given = entries.get("robot") or {}
-    entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}
+    robot_entry = entries.get("robot") or {}
+    entries["robot"] = {k: v for k, v in robot_entry.items() if k not in ("urdf", "osim", "mjcf")}
     if entries.get("muscles"):
         entries["muscles"] = _scaled_muscles(scene, scene_from(_without(entries), urdf=urdf.text))
     for line in factor_lines(factors):
         say(line)
     say(f"mass {urdf.mass:.6g} kg -> {urdf.mass if task.mass is None else task.mass:.6g} kg")
     for key in left_as_they_are(scene.entries):
-        say(f"warning: section {key} is left as it is")
+        say(f"warning: section {key} is not scaled")
     return entries, urdf.text
 
 
 def _scaled_muscles(scene: Scene, new: Scene) -> list[dict[str, Any]]:
-    """Muscles whose lengths follow those of their paths at the start."""
+    """Return muscles whose lengths scale with those of their paths at the start."""
     before, after = _lengths(scene), _lengths(new)
     muscles = []
     for entry in scene.entries["muscles"]:
@@ -138,24 +142,23 @@ def _without(entries: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def factor_lines(factors: Mapping[str, Array]) -> Iterator[str]:
-    """A line a link, for people."""
+    """Yield a line for each link."""
     for link, (x, y, z) in factors.items():
         yield f"{link}: x {x:.6g}, y {y:.6g}, z {z:.6g}"
 
 
 def factors_of(scene: Scene, capture: Capture, task: ScaleTask) -> dict[str, Array]:
-    """Link -> factors along its axes, shape (3,).
+    """Compute the scale factors along the axes of each link, shape (3,).
 
     Args:
-        scene: The scene; distances of its markers are those at its start.
-        capture: The static trial; distances are means over its frames.
-        task: What is measured.
+        scene: The scene, with the distances of its markers at its start.
+        capture: The static trial, with distances averaged over its frames.
+        task: Measurements of the segments.
 
     Raises:
-        DataError: An unknown link or marker, a marker that was not seen, or a factor that no
-            person has.
+        DataError: A link or marker is unknown, a marker was not seen, or a factor is implausible.
     """
-    shown, seen = _shown(scene), _seen(capture)
+    model, seen = _model_markers(scene), _seen(capture)
     factors = {}
     for link, measurements in task.segments.items():
         try:
@@ -163,62 +166,63 @@ def factors_of(scene: Scene, capture: Capture, task: ScaleTask) -> dict[str, Arr
         except ModelError as error:
             raise DataError(f"scale: {error}") from error
         factor = np.ones(3)
-        for one in measurements:
-            value = one.factor
+        for measurement in measurements:
+            value = measurement.factor
             if value is None:
-                ratios = [_ratio(capture.where, shown, seen, *pair) for pair in one.pairs]
+                ratios = [_ratio(capture.where, model, seen, *pair) for pair in measurement.pairs]
                 value = float(np.mean(ratios))
             if not _SANE[0] <= value <= _SANE[1]:
                 raise DataError(
                     f"{capture.where}: {link} would be scaled by {value:.4g}, accepted: "
-                    f"{_SANE[0]:g} .. {_SANE[1]:g}; is the unit right?"
+                    f"{_SANE[0]:g} .. {_SANE[1]:g}; check the unit of the markers"
                 )
-            factor[[_AXES.index(axis) for axis in one.axes]] = value
+            factor[[_AXES.index(axis) for axis in measurement.axes]] = value
         factors[link] = factor
     return factors
 
 
-def _shown(scene: Scene) -> dict[str, Array]:
-    """Label -> place in the model at the start."""
+def _model_markers(scene: Scene) -> dict[str, Array]:
+    """Return the positions of markers in the model at the start, by label."""
     k, x = Kinematics(scene.robot), scene.initial
     k.refresh(x.q, x.v)
     return {m.title: np.array(k.position(m.point)) for m in markers_of(scene)}
 
 
 def _seen(capture: Capture) -> dict[str, Array]:
-    """Label -> places, shape (N, 3)."""
+    """Return the recorded positions of markers by label, shape (N, 3)."""
     return {label: capture.places[:, i] for i, label in enumerate(capture.labels)}
 
 
 def _ratio(
-    where: str, shown: Mapping[str, Array], seen: Mapping[str, Array], a: str, b: str
+    where: str, model: Mapping[str, Array], seen: Mapping[str, Array], a: str, b: str
 ) -> float:
     for label in (a, b):
-        for known, what in ((shown, "the scene"), (seen, where)):
+        for known, source in ((model, "the scene"), (seen, where)):
             if label not in known:
                 close = nearest(label, known, 1)
                 hint = f"; the nearest is {close[0]}" if close else ""
-                raise DataError(f"scale: no marker {label} in {what}{hint}")
-    apart = np.linalg.norm(seen[a] - seen[b], axis=1)
-    apart = apart[np.isfinite(apart)]
-    own = float(np.linalg.norm(shown[a] - shown[b]))
-    if not len(apart) or own < 1.0e-6:
-        why = "are never seen together" if not len(apart) else "are at one place in the scene"
+                raise DataError(f"scale: no marker {label} in {source}{hint}")
+    measured = np.linalg.norm(seen[a] - seen[b], axis=1)
+    measured = measured[np.isfinite(measured)]
+    in_model = float(np.linalg.norm(model[a] - model[b]))
+    if not len(measured) or in_model < 1.0e-6:
+        why = "are never seen together" if not len(measured) else "coincide in the scene"
         raise DataError(f"{where}: markers {a} and {b} {why}")
-    return float(apart.mean()) / own
+    return float(measured.mean()) / in_model
 
 
 def scaled_sections(
     entries: Mapping[str, Any], factors: Mapping[str, Array], stretch: Mapping[str, float]
 ) -> Entries:
-    """Sections with other places; those of muscles are scaled by the lengths of their paths.
+    """Return sections with scaled positions; muscles are scaled by the lengths of their paths.
 
     Args:
-        factors: Link -> factors along its axes, shape (3,).
-        stretch: Sliding joint -> factor of its position.
+        entries: Sections of the scene.
+        factors: Factors along the axes of each link, shape (3,).
+        stretch: Factor of the position of each prismatic joint.
 
     Raises:
-        DataError: A coupling that follows a joint which is stretched itself.
+        DataError: A coupling follows a joint that is stretched itself.
     """
     scaled = deepcopy(dict(entries))
     for entry in scaled.get("sensors", {}).values():
@@ -331,9 +335,9 @@ class ScaledUrdf:
             R = rotation_matrix(_numbers(origin, "rpy"))
             xyz = np.array(_numbers(origin, "xyz"))
             begins = self._is_segment(child)
-            own = self._factors.get(child, np.ones(3)) if begins else factor
+            factors = self._factors.get(child, np.ones(3)) if begins else factor
             if begins and not self._is_segment(link):  # the place of the joint in the child
-                xyz = R @ (own * (R.T @ xyz))
+                xyz = R @ (factors * (R.T @ xyz))
             else:
                 xyz = turn.T @ (factor * (turn @ xyz))
             origin.set("xyz", " ".join(map(repr, xyz.tolist())))
@@ -342,22 +346,22 @@ class ScaledUrdf:
                 along = turn @ R @ np.array(_numbers(axis, "xyz", (1.0, 0.0, 0.0)))
                 along /= np.linalg.norm(along)
                 self.stretch[joint.get("name", "")] = float(np.linalg.norm(factor * along))
-            self._place(child, own, np.eye(3) if begins else turn @ R, tree)
+            self._place(child, factors, np.eye(3) if begins else turn @ R, tree)
 
     def _is_segment(self, link: str) -> bool:
         return link in self._factors or self._links[link].find("inertial") is not None
 
     def _scale_masses(self, mass: float | None, by_volume: bool) -> float:
-        found = {
+        bodies = {
             n: e for n, link in self._links.items() if (e := link.find("inertial")) is not None
         }
-        before = {name: _value(e, "mass", "value") for name, e in found.items()}
-        factors = {name: self._factors.get(name, np.ones(3)) for name in found}
-        volumes = {n: float(factors[n].prod()) if by_volume else 1.0 for n in found}
+        before = {name: _value(e, "mass", "value") for name, e in bodies.items()}
+        factors = {name: self._factors.get(name, np.ones(3)) for name in bodies}
+        volumes = {n: float(factors[n].prod()) if by_volume else 1.0 for n in bodies}
         total = sum(before.values())
-        new = sum(before[name] * volumes[name] for name in found)
+        new = sum(before[name] * volumes[name] for name in bodies)
         share = (total if mass is None else mass) / new if new else 1.0
-        for name, element in found.items():
+        for name, element in bodies.items():
             after = before[name] * volumes[name] * share
             _scale_inertia(element, factors[name], before[name], after)
         return total

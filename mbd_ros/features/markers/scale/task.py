@@ -17,9 +17,9 @@ class Measurement:
     """One measurement of a segment.
 
     Attributes:
-        pairs: Labels of two markers each, whose distances are compared.
-        factor: In place of pairs.
-        axes: Of the link that it scales: some of x, y and z.
+        pairs: Pairs of marker labels, whose distances on the person and in the scene are compared.
+        factor: Scale factor in place of pairs.
+        axes: Axes of the link that the measurement scales: some of x, y and z.
     """
 
     pairs: Sequence[Annotated[Sequence[str], Length(2)]] = ()
@@ -29,16 +29,17 @@ class Measurement:
 
 @dataclass(frozen=True)
 class ScaleTask:
-    """How a scene is scaled.
+    """How a scene is scaled to a person, as its task file describes it.
 
     Attributes:
-        segments: Link -> its measurements; links that are left out keep their size.
-        begin: First time of the static trial that counts [s].
-        end: Last one [s].
-        unit: Of the recorded places; None for that of the file.
-        mass: Of all segments together [kg]; None keeps it.
+        segments: Measurements by link: `pairs` of markers or a `factor`, and the `axes` that they
+            scale. Links without one keep their size.
+        begin: First time of the static trial [s]; None for its start.
+        end: Last time of the static trial [s]; None for its end.
+        unit: Unit of the recorded markers; None for that of the file.
+        mass: Mass of all segments together [kg]; None keeps it.
         by_volume: Whether masses follow the volumes of segments; else each keeps its share.
-        name: Of the scaled scene.
+        name: Name of the scaled scene.
     """
 
     segments: Mapping[str, Sequence[Measurement]]
@@ -50,17 +51,17 @@ class ScaleTask:
     name: str = "scaled"
 
 
-def build_task(site: Site, given: Any) -> ScaleTask:
-    """The `scale` section of a task file.
+def build_task(site: Site, entry: Any) -> ScaleTask:
+    """Build the `scale` section of a task file.
 
     Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
+        SceneError: A key is unknown or its value is not accepted; the message names both.
     """
-    task: ScaleTask = schema.call(_task, given, site.where, site)
+    task: ScaleTask = schema.call(task_of_keys, entry, site.where, site)
     return task
 
 
-def _task(
+def task_of_keys(
     site: Site,
     *,
     segments: Mapping[str, Any],
@@ -71,24 +72,27 @@ def _task(
     by_volume: bool = False,
     name: str = "scaled",
 ) -> ScaleTask:
-    measured = {
+    """Build a task; the keyword arguments are the keys of the section `scale`."""
+    measurements = {
         link: _measurements(entry, f"{site.where}.segments.{link}")
         for link, entry in segments.items()
     }
-    if not measured:
-        raise SceneError(f"{site.where}.segments: names no link")
+    if not measurements:
+        raise SceneError(f"{site.where}.segments: is empty; give the measurements of a link")
     if not name.isidentifier():
-        raise SceneError(f"{site.where}.name: '{name}' is no word of letters, digits and _")
-    return ScaleTask(measured, begin, end, unit, mass, by_volume, name)
+        raise SceneError(
+            f"{site.where}.name: '{name}', accepted are letters, digits and _, a digit not first"
+        )
+    return ScaleTask(measurements, begin, end, unit, mass, by_volume, name)
 
 
 def _measurements(entry: Any, where: str) -> tuple[Measurement, ...]:
-    """One measurement, or a list of them."""
-    listed = entry if isinstance(entry, list) else [entry]
-    found = tuple(schema.call(Measurement, one, where) for one in listed)
-    for one in found:
-        if bool(one.pairs) == (one.factor is not None):
-            raise SceneError(f"{where}: expected pairs, or a factor in their place")
-        if not one.axes or not set(one.axes) <= set(_AXES):
-            raise SceneError(f"{where}.axes: '{one.axes}', accepted: some of x, y and z")
-    return found
+    """Build one measurement, or a list of them."""
+    entries = entry if isinstance(entry, list) else [entry]
+    measurements = tuple(schema.call(Measurement, each, where) for each in entries)
+    for measurement in measurements:
+        if bool(measurement.pairs) == (measurement.factor is not None):
+            raise SceneError(f"{where}: expected either pairs or a factor")
+        if not measurement.axes or not set(measurement.axes) <= set(_AXES):
+            raise SceneError(f"{where}.axes: '{measurement.axes}', accepted: some of x, y and z")
+    return measurements

@@ -22,10 +22,10 @@ _ROUNDING = 1.0e-12  # m or -, arms of joints that do not change a path
 
 
 def moment_arms(scene: Scene, motion: Source, *, topic: str = "/joint_states") -> Result:
-    """Lengths, speeds and moment arms of all paths of a scene in a motion.
+    """Compute lengths, speeds and moment arms of all paths of a scene in a motion.
 
-    An arm is -dl/dq at fixed other independent coordinates, with dependent joints moving along:
-    the effort of a tension of 1 N.
+    The moment arm about an independent coordinate q is -dl/dq, with the other independent
+    coordinates fixed and dependent joints following: the effort of a tension of 1 N.
 
     Args:
         scene: A scene with paths.
@@ -33,17 +33,17 @@ def moment_arms(scene: Scene, motion: Source, *, topic: str = "/joint_states") -
         topic: JointState topic of a bag.
 
     Returns:
-        Table `samples`: `time`, `<joint>.position`; `<path>.length`, `.speed` where the motion
-        has velocities, and `<path>.<joint>`, left out where it is 0 throughout. A path that one
-        muscle pulls along goes by the name of the muscle.
+        Table `samples`: `time`, `<joint>.position`; `<path>.length`, `.speed` if the motion has
+        velocities, and the moment arms `<path>.<joint>`, without those that are always 0. The
+        path of a muscle has the name of the muscle.
 
     Raises:
-        DataError: Something cannot be read or does not fit the scene.
-        SolveError: A geodesic over a surface is not found.
+        DataError: A file cannot be read or does not fit the scene.
+        SolveError: A geodesic over a surface is not samples_of_paths.
     """
     paths = _named(scene)
     if not paths:
-        raise DataError(f"{scene.name}: there are no paths")
+        raise DataError(f"{scene.name}: has no paths; add the section paths or muscles")
     where = name_of(motion)
     recorded = _recorded(scene, motion, topic)
     complete, has_speeds = _complete(recorded)
@@ -52,13 +52,13 @@ def moment_arms(scene: Scene, motion: Source, *, topic: str = "/joint_states") -
     y[:, at.joint_y] = recorded.position[:, : len(at.joint_y)]  # functions of angles as recorded
     batch = PathBatch(scene.robot, scene.couplings, paths, QuickestSearch())
     with about(where):
-        found = batch.evaluate(y, samples[2] if has_speeds else None)
+        samples_of_paths = batch.evaluate(y, samples[2] if has_speeds else None)
     joints = [scene.robot.joint(name) for name in scene.couplings.independent]
     columns = [*time_columns(samples.stamps)]
     columns += joint_columns(joints, "position", y[:, at.joint_y])
-    arms = found.arms[:, :, at.joint_w]
+    arms = samples_of_paths.arms[:, :, at.joint_w]
     for i, name in enumerate(batch.names):
-        columns += _columns(name, i, found, has_speeds)
+        columns += _columns(name, i, samples_of_paths, has_speeds)
         for joint, arm in zip(joints, arms[:, i].T, strict=True):
             if np.abs(arm).max() > _ROUNDING:
                 unit = "-" if joint.kind == "prismatic" else "m"
@@ -68,13 +68,13 @@ def moment_arms(scene: Scene, motion: Source, *, topic: str = "/joint_states") -
 
 
 def moment_arms_to(scene: Scene, motion: File, out: File, topic: str, say: Say) -> None:
-    """Read a motion, write what its paths do.
+    """Read a motion, and write lengths, speeds and moment arms.
 
     Args:
-        motion: Table or bag.
-        out: Its suffix chooses the format.
+        motion: Table or bag with the motion.
+        out: Path whose suffix chooses the format.
         topic: JointState topic of a bag.
-        say: Is told what was done.
+        say: Called with each line for people.
     """
     refuse_overwriting(out, motion)
     check_place(out)
@@ -84,18 +84,18 @@ def moment_arms_to(scene: Scene, motion: File, out: File, topic: str, say: Say) 
 
 
 def _named(scene: Scene) -> dict[str, Path]:
-    """Paths of the scene and of its muscles, by the names of their columns."""
+    """Return the paths of the scene and of its muscles, by the names of their columns."""
     by_muscle = {id(muscle.path): muscle.name for muscle in scene.muscles}
     paths = {by_muscle.get(id(p), name): p for name, p in scene.parts.get("paths", {}).items()}
     known = {id(path) for path in paths.values()}
-    own = {muscle.name: muscle.path for muscle in scene.muscles if id(muscle.path) not in known}
-    return {**paths, **own}
+    unnamed = [muscle for muscle in scene.muscles if id(muscle.path) not in known]
+    return paths | {muscle.name: muscle.path for muscle in unnamed}
 
 
-def _columns(name: str, i: int, found: PathSamples, has_speeds: bool) -> list[Column]:
-    columns = [Column(f"{name}.length", np.array(found.lengths[:, i]), "m")]
+def _columns(name: str, i: int, samples: PathSamples, has_speeds: bool) -> list[Column]:
+    columns = [Column(f"{name}.length", np.array(samples.lengths[:, i]), "m")]
     if has_speeds:
-        columns.append(Column(f"{name}.speed", np.array(found.speeds[:, i]), "m/s"))
+        columns.append(Column(f"{name}.speed", np.array(samples.speeds[:, i]), "m/s"))
     return columns
 
 
@@ -108,22 +108,22 @@ def _recorded(scene: Scene, motion: Source, topic: str) -> Motion:
         required=names,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[robot.joint(name).q]),
     )
     return recording.motion
 
 
 def _complete(motion: Motion) -> tuple[Motion, bool]:
-    """The motion with zeros for what it does not have, and whether it has velocities."""
+    """Fill missing values of the motion with zeros; also return whether it has velocities."""
     has_speeds = motion.velocity is not None and not np.isnan(motion.velocity).any()
     still: Array = np.zeros(motion.position.shape)
     bodies = []
     for body in motion.bodies:
         has_speeds &= body.twist is not None
-        rest = np.zeros((len(motion.stamps), 6))
-        twist = rest if body.twist is None else body.twist
-        bodies.append(body._replace(twist=twist, acceleration=rest))
+        zero = np.zeros((len(motion.stamps), 6))
+        twist = zero if body.twist is None else body.twist
+        bodies.append(body._replace(twist=twist, acceleration=zero))
     velocity = motion.velocity if has_speeds else still
     complete = motion._replace(velocity=velocity, acceleration=still, bodies=tuple(bodies))
     return complete, has_speeds

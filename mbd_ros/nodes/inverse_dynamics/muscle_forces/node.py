@@ -7,7 +7,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.features.muscles.static_optimization import EXPONENTS
+from mbd_ros.jobs.options import parameters_of
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.pipeline import MusclePipeline
 from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode
@@ -16,14 +16,15 @@ from mbd_ros.nodes.shell.parameters import STREAM, Parameter
 from msg_adapters.errors import MessageError
 
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
+_KEYS = parameters_of("mbd_ros.features.muscles.task:task_of_keys")
 PARAMETERS = (
     *STREAM,
     Parameter(
         "objective",
         str,
         "What the activations make least, as of `mbd-ros muscles`.",
-        "activation",
-        choices=tuple(EXPONENTS),
+        _KEYS["objective"].default,
+        choices=_KEYS["objective"].choices,
     ),
     Parameter(
         "exponent",
@@ -60,13 +61,13 @@ PARAMETERS = (
         "Measured activations on ~/emg: none are heard, activations are near them (track), or not "
         "below them (least).",
         "none",
-        choices=("none", "track", "least"),
+        choices=("none", *_KEYS["emg_use"].choices),
     ),
     Parameter(
         "emg_weight",
         float,
         "Of the squared distance from measured activations.",
-        10.0,
+        _KEYS["emg_weight"].default,
         low=1.0e-9,
         high=1.0e9,
     ),
@@ -84,7 +85,7 @@ PARAMETERS = (
         "Loads of joints to publish: none, on the child in its axes, on the parent in its axes, "
         "or on the child in world axes (ground).",
         "none",
-        choices=("none", "child", "parent", "ground"),
+        choices=("none", *_KEYS["reactions"].choices),
     ),
     Parameter("links", list[str], "Links whose joint is asked for; empty for all with mass.", ()),
 )

@@ -43,16 +43,16 @@ class MusclePipeline(Pipeline):
     def __init__(self, values: Any, description: str | None) -> None:
         super().__init__(values, description)
         scene = self.scene
-        if self.whole is not None:
+        if self.assembler is not None:
             raise MbdError(f"{scene.name}: muscle forces live: one fixed robot, no free bodies")
-        asked = muscles_task(scene, options(values), f"{scene.name}: muscles")
+        task = muscles_task(scene, options(values), f"{scene.name}: muscles")
         use = values.emg_use
-        wishes = asked.wishes._replace(
+        sharing = task.sharing._replace(
             tracking=values.emg_weight if use == "track" else 0.0,
             measured_is_least=use == "least",
         )
-        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
-        loads = asked.loads(scene)
+        optimization = replace(task, sharing=sharing).solver(scene, is_live=True)
+        loads = task.loads(scene)
         names = coordinate_names(scene.robot, scene.couplings)
         self._sharing = self._solver = LiveSharing(optimization, loads, names)
         self.estimator = TorqueEstimator(scene.robot, self._sharing, tuning(values))
@@ -62,7 +62,7 @@ class MusclePipeline(Pipeline):
         self._muscle_forces = JointStateCdrWriter(muscles)
         self._activations = MultiArrayCdrWriter(len(muscles), muscles)
         self._reserves = JointStateCdrWriter(reserves, ("effort",)) if reserves else None
-        joined = () if loads is None else loads.joined
+        joined = () if loads is None else loads.joint_links
         self.links = [one.link for one in joined]
         axes = {"child": "link", "parent": "parent_link"}
         attribute = axes.get(values.reactions)
@@ -117,13 +117,13 @@ class MusclePipeline(Pipeline):
 
     def details(self) -> dict[str, str]:
         """Contents and origin of the numbers, for diagnostics."""
-        asked = self._sharing.optimization
-        criterion = asked.wishes.criterion
+        problem = self._sharing.optimization
+        criterion = problem.sharing.criterion
         return {
             **super().details(),
-            "muscles": f"{len(asked.muscles)}, {len(asked.reserves)} reserves",
+            "muscles": f"{len(problem.muscles)}, {len(problem.reserves)} reserves",
             "shared by": f"{criterion.kind}, exponent {criterion.exponent:g}",
-            "passive force": "takes part" if asked.wishes.passive else "left out",
+            "passive force": "takes part" if problem.sharing.passive else "left out",
             **self._sharing.details(),
         }
 
@@ -159,7 +159,7 @@ class LiveSharing:
         measured: Activations measured for the next sample, NaN where none was, shape (n,).
     """
 
-    moved = 0.0
+    correction = 0.0
 
     def __init__(
         self,
@@ -227,20 +227,20 @@ class LiveSharing:
         return f"muscles and reserves cannot produce the motion: {', '.join(texts)}"
 
     def details(self) -> dict[str, str]:
-        """Of the newest sample, for diagnostics."""
+        """Return figures of the newest sample, for diagnostics."""
         shares: Any = self.shares
         if shares is None:
             return {}
         names = [reserve.name for reserve in self.optimization.reserves]
-        found = {
+        entries = {
             "objective": f"{shares.objective[0]:.6g}",
             "optimality residual": f"{shares.residual[0]:.1e}",
             "free directions": str(int(shares.null_space[0])),
         }
         if names:
             i = int(np.abs(shares.reserve[0]).argmax())
-            found["largest reserve"] = f"{names[i]}: {shares.reserve[0, i]:.4g}"
-        return found
+            entries["largest reserve"] = f"{names[i]}: {shares.reserve[0, i]:.4g}"
+        return entries
 
 
 class MeasuredActivations:
@@ -274,15 +274,17 @@ class MeasuredActivations:
             raise MessageError(
                 f"{len(labels)} labels for {len(msg.data)} values; expected one each"
             )
-        found = [(self._at[n], v) for n, v in zip(labels, msg.data, strict=True) if n in self._at]
-        if not found:
+        activations = [
+            (self._at[n], v) for n, v in zip(labels, msg.data, strict=True) if n in self._at
+        ]
+        if not activations:
             raise MessageError(f"no label is a muscle; muscles are {', '.join(self._at)}")
-        for i, value in found:
+        for i, value in activations:
             if not 0.0 <= value <= 1.0:
                 name = list(self._at)[i]
                 raise MessageError(f"activation of {name} is {value:.6g}, accepted: 0 .. 1")
         now = self._clock()
-        for i, value in found:
+        for i, value in activations:
             self._values[i], self._heard[i] = value, now
 
     def now(self) -> Array:
@@ -296,12 +298,12 @@ def options(values: Any) -> dict[str, Any]:
 
     Measured activations come on a topic: their use is not in it.
     """
-    given: dict[str, Any] = {"objective": values.objective, "passive": values.passive}
+    chosen: dict[str, Any] = {"objective": values.objective, "passive": values.passive}
     for name in ("exponent", "rise", "fall", "reserves"):
         if getattr(values, name) > 0.0:
-            given[name] = getattr(values, name)
+            chosen[name] = getattr(values, name)
     if values.reserve_file:
-        given["reserves"] = values.reserve_file
+        chosen["reserves"] = values.reserve_file
     if values.reactions != "none":
-        given |= {"reactions": values.reactions, "links": list(values.links)}
-    return given
+        chosen |= {"reactions": values.reactions, "links": list(values.links)}
+    return chosen

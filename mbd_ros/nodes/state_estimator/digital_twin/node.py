@@ -110,11 +110,11 @@ class DigitalTwinNode(StateEstimatorNode):
             return response
         values = self.parameters
         try:
-            found = self._pipeline.predicted(values.horizon, values.prediction_step)
+            prediction = self._pipeline.predicted(values.horizon, values.prediction_step)
         except MbdError as error:
             response.message = str(error)
             return response
-        stamp, times, q, v = found
+        stamp, times, q, v = prediction
         message = JointTrajectory()
         write_time(message.header.stamp, stamp)
         message.joint_names = [joint.name for joint in self._pipeline.scene.robot.joints]

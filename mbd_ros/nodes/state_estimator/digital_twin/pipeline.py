@@ -13,11 +13,11 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.estimation.estimation import Estimation, made_ready
-from mbd_ros.features.estimation.faults import Cusum, FaultNaming, Named
+from mbd_ros.features.estimation.estimation import Estimation, prepare_scene
+from mbd_ros.features.estimation.faults import Cusum, Diagnosis, FaultNaming
 from mbd_ros.features.estimation.state_reconstruction import Determination, Determinations
-from mbd_ros.features.estimation.tracker import Taken
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.features.estimation.tracker import SampleOutcome
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
 from mbd_ros.scene.built_scene import Scene
@@ -48,8 +48,8 @@ class TwinPipeline(EstimatorPipeline):
     def __init__(self, values: Any, description: str | None) -> None:
         self._cusum: Cusum | None = None
         super().__init__(values, description)
-        found, robot = self.estimation, self.scene.robot
-        system = found.process.simulation.system
+        setup, robot = self.estimation, self.scene.robot
+        system = setup.process.simulation.system
         self._system = system
         names = [joint.name for joint in robot.joints]
         measured = list(values.measured) or names
@@ -57,12 +57,12 @@ class TwinPipeline(EstimatorPipeline):
             system, measured, values.look_ahead, values.amplification
         )
         self._compared = [name for name in names if name not in measured]
-        numbers = (*found.process.sensors.names, *self._compared)
+        numbers = (*setup.process.sensors.names, *self._compared)
         self._cusum = Cusum(numbers, threshold=values.alarm_threshold)
         wanted = list(names if _ALL in values.reactions else values.reactions)
         refuse_unknown(wanted, names)
         self.reactions = {name: (names.index(name), WrenchStamped()) for name in wanted}
-        self._felt = FeltReactions(system)
+        self._felt = SystemReactions(system)
         self._frames = {j.name: child_link(robot.model, j.v) for j in robot.joints}
         self._writer_of_numbers = MultiArrayCdrWriter(len(_NUMBERS), _NUMBERS)
         self._naming = self._name_faults(values)
@@ -81,17 +81,17 @@ class TwinPipeline(EstimatorPipeline):
         """Forget the past, that of the watches too."""
         super().forget()
         self.determination = Determination(0.0, 1.0, math.inf)
-        self.fault = Named("", {}, 0.0)
+        self.fault = Diagnosis("", {}, 0.0)
         self._began = 0.0
         if self._cusum is not None:
-            self._cusum.forget()
+            self._cusum.reset()
             if self._naming is not None:
-                self._naming.forget()
+                self._naming.reset()
 
     def answer(self, stamp: int, sample: JointSample) -> Answer:
         """Messages for a joint state, whose measurements are watched for faults."""
         answer = super().answer(stamp, sample)
-        if not isinstance(answer, Taken):
+        if not isinstance(answer, SampleOutcome):
             self._watch(sample)
         return answer
 
@@ -107,7 +107,7 @@ class TwinPipeline(EstimatorPipeline):
             nz = len(belief.x.z)
             spread = np.sqrt(belief.P.diagonal()[-nz:][self.estimation.disturbance])
             self._naming.add(now.x, self._newest_u, lacking, spread)
-            self.fault = self._naming.named()
+            self.fault = self._naming.diagnose()
 
     def _off(self, x: State, sample: JointSample) -> Array:
         """Measured less predicted of joints that do not count, in deviations."""
@@ -115,14 +115,14 @@ class TwinPipeline(EstimatorPipeline):
         robot, values = self.scene.robot, self._values
         rows = [robot.joint(name) for name in self._compared]
         at = [self.joints.names.index(name) for name in self._compared]
-        lift = self.estimation.process.tangent.of_all_joints(self.tracker.belief.x)
+        lift = self.estimation.process.tangent.lift_to_joints(self.tracker.belief.x)
         known = lift[[joint.v for joint in rows]]
         spread = np.einsum("ij,ij->i", known.dot(self.tracker.belief.P), known)
         error = sample.position[at] - x.q[[joint.q for joint in rows]]
         return np.asarray(error / np.sqrt(spread + values.position_noise**2))
 
     def more(self, stamp: int) -> TwinMessages:
-        """What the twin says besides the newest estimate."""
+        """Return the results of the twin besides the newest estimate."""
         now = self._writer.now
         reactions = {}
         if self.reactions:
@@ -177,14 +177,14 @@ class TwinPipeline(EstimatorPipeline):
         return WARN, "; ".join([*reasons, *([text] if level != OK else [])])
 
     def details(self) -> dict[str, str]:
-        """Of the newest estimate and the watches, for diagnostics."""
-        found = self.determination
+        """Return figures of the newest estimate and the watches, for diagnostics."""
+        result = self.determination
         shares = ", ".join(f"{name} {share:.2g}" for name, share in self.fault.shares.items())
         assert self._cusum is not None
         return {
             **super().details(),
-            "amplification of errors": f"{found.amplification:.4g}",
-            "amplification of multipliers": f"{found.of_multipliers:.4g}",
+            "amplification of errors": f"{result.amplification:.4g}",
+            "amplification of multipliers": f"{result.of_multipliers:.4g}",
             "alarms": ", ".join(self._cusum.alarms()) or "none",
             "fault": self.fault.name or "none",
             "unexplained by hypotheses": shares or "none compared",
@@ -192,7 +192,7 @@ class TwinPipeline(EstimatorPipeline):
 
 
 class TwinMessages(NamedTuple):
-    """What the twin says besides the estimate.
+    """Results of the twin besides the estimate.
 
     Attributes:
         reactions: WrenchStamped by joint, in the axes of the joint on its child.
@@ -203,12 +203,14 @@ class TwinMessages(NamedTuple):
     determination: bytes
 
 
-def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) -> dict[str, System]:
+def hypothesis_systems(
+    scene: Scene, estimation: Estimation, texts: Sequence[str]
+) -> dict[str, System]:
     """Name -> the mechanism with other numbers in it.
 
     Args:
         scene: As it is thought to be, as it is read.
-        found: What is estimated of it.
+        estimation: What is estimated of it.
         texts: Of the parameter `hypotheses`.
 
     Raises:
@@ -216,20 +218,21 @@ def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) ->
     """
     systems = {}
     for text in texts:
-        name, _, given = text.partition(":")
-        if not name.strip() or not given.strip():
+        name, _, assignments = text.partition(":")
+        if not name.strip() or not assignments.strip():
             raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
         try:
-            changed = with_numbers(scene, _numbers(text, given))
-            systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
+            changed = with_numbers(scene, _numbers(text, assignments))
+            prepared = prepare_scene(changed, estimation.task, estimation.disturbed)
+            systems[name.strip()] = prepared.system()
         except MbdError as error:
             raise ParameterError(f"hypotheses: '{text}': {error}") from error
     return systems
 
 
-def _numbers(text: str, given: str) -> dict[str, float]:
+def _numbers(text: str, assignments: str) -> dict[str, float]:
     numbers = {}
-    for one in given.split(","):
+    for one in assignments.split(","):
         key, _, value = one.partition("=")
         try:
             numbers[key.strip()] = float(value)

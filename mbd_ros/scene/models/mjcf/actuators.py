@@ -62,10 +62,14 @@ def _entry(reading: Reading, item: Item) -> tuple[str, dict[str, Any]]:
         if key in item:
             joint = reading.joint(item, key)
             limit = min(abs(gear[0]) * _limit(reading, item), _most(reading, joint.item))
-            return "actuators", {"type": "ideal", "joints": [joint.name], **_kept(limit)}
+            return "actuators", {"type": "ideal", "joints": [joint.name], **_effort_limit(limit)}
     if "tendon" in item:
         limit = abs(gear[0]) * _limit(reading, item)
-        return "forces", {"type": "path_force", "path": _path(reading, item), **_kept(limit)}
+        return "forces", {
+            "type": "path_force",
+            "path": _path(reading, item),
+            **_effort_limit(limit),
+        }
     if "site" in item:
         return "forces", _at_site(reading, item, np.array(gear))
     if not any(key in item for key in _ENDS):
@@ -102,7 +106,7 @@ def _most(reading: Reading, joint: Item) -> float:
     return math.inf
 
 
-def _kept(limit: float) -> dict[str, float]:
+def _effort_limit(limit: float) -> dict[str, float]:
     return {"limit": limit} if limit < math.inf else {}
 
 
@@ -132,7 +136,7 @@ def _at_site(reading: Reading, item: Item, gear: Any) -> dict[str, Any]:
     entry = {"frame": body, "kind": kind, "direction": direction}
     if kind == "force":
         entry["point"] = site.at.translation.tolist()
-    return {"type": "body_force", **entry, **_kept(size * _limit(reading, item))}
+    return {"type": "body_force", **entry, **_effort_limit(size * _limit(reading, item))}
 
 
 def add_rotors(reading: Reading, sections: dict[str, Any]) -> None:
@@ -143,7 +147,7 @@ def add_rotors(reading: Reading, sections: dict[str, Any]) -> None:
         if entry["type"] == "ideal"
     }
     for name, hinge in reading.tree.hinges.items():
-        is_plain = reading.tree.given.get(name) == [name]
+        is_plain = reading.tree.joint_names.get(name) == [name]
         inertia = hinge.item.number("armature", 0.0) if is_plain else 0.0
         if inertia < 0.0:
             raise hinge.item.error("armature is negative")
@@ -187,13 +191,13 @@ def read_tendons(reading: Reading) -> list[dict[str, Any]]:
 def _fixed(reading: Reading, item: Item) -> dict[str, Any]:
     """Length sum of coef q."""
     terms = dict[str, float]()
-    for one in reading.inner(item):
-        if one.type != "joint":
-            raise item.error(f"unknown element <{one.type}>, accepted: joint")
-        if "coef" not in one:
+    for element in reading.inner(item):
+        if element.type != "joint":
+            raise item.error(f"unknown element <{element.type}>, accepted: joint")
+        if "coef" not in element:
             raise item.error("a joint has no coef")
-        name = reading.joint(one, "joint").name
-        terms[name] = terms.get(name, 0.0) + one.number("coef", 0.0)
+        name = reading.joint(element, "joint").name
+        terms[name] = terms.get(name, 0.0) + element.number("coef", 0.0)
     if not terms:
         raise item.error("it has no joint")
     return {"joints": terms}
@@ -202,17 +206,17 @@ def _fixed(reading: Reading, item: Item) -> dict[str, Any]:
 def _spatial(reading: Reading, item: Item) -> dict[str, Any]:
     points, wraps, bodies = list[Any](), list[Any](), list[str]()
     waiting: Item | None = None
-    for one in reading.inner(item):
-        if one.type == "pulley":
+    for element in reading.inner(item):
+        if element.type == "pulley":
             raise Unexpressed("pulleys divide it")
-        if one.type == "geom":
+        if element.type == "geom":
             if waiting is not None or not points:
                 raise item.error("a geom stands between two sites")
-            waiting = one
+            waiting = element
             continue
-        if one.type != "site":
-            raise item.error(f"unknown element <{one.type}>, accepted: site, geom, pulley")
-        body, place = reading.place(one, "site")
+        if element.type != "site":
+            raise item.error(f"unknown element <{element.type}>, accepted: site, geom, pulley")
+        body, place = reading.place(element, "site")
         link, at = reading.tree.frame(body, place.at)
         bodies.append(body)
         points.append({"frame": link, **_without_turn(at)})
@@ -230,25 +234,25 @@ def _without_turn(at: Any) -> dict[str, Any]:
     return {key: value for key, value in xyz_rpy(at).items() if key == "xyz"}
 
 
-def _wrap(reading: Reading, given: Item) -> dict[str, Any]:
+def _wrap(reading: Reading, entry: Item) -> dict[str, Any]:
     """A sphere, or a cylinder without end, over the side of `sidesite` where it is given."""
-    body, (geom, at) = reading.place(given, "geom", "geoms")
+    body, (geom, at) = reading.place(entry, "geom", "geoms")
     kind = geom_type(geom)
     if kind not in ("sphere", "cylinder"):
-        raise given.error(f"geom '{geom.name}' is a {kind}, expected sphere or cylinder")
+        raise entry.error(f"geom '{geom.name}' is a {kind}, expected sphere or cylinder")
     radius, side = geom_sizes(geom)[0], {}
-    if "sidesite" in given:
-        other, site = reading.place(given, "sidesite")
+    if "sidesite" in entry:
+        other, site = reading.place(entry, "sidesite")
         if other != body:
             raise Unexpressed("its side site is on another body than its geom")
-        at = _towards(given, at, site.at.translation, radius, kind)
+        at = _towards(entry, at, site.at.translation, radius, kind)
         side = {"side": "x"} if kind == "cylinder" else {}
     link, at = reading.tree.frame(body, at)
     shape: Any = radius if kind == "sphere" else {"radius": radius, "length": _ENDLESS}
     return {"frame": link, kind: shape, "pose": xyz_rpy(at), **side}
 
 
-def _towards(given: Item, at: Any, site: Array, radius: float, kind: str) -> Any:
+def _towards(entry: Item, at: Any, site: Array, radius: float, kind: str) -> Any:
     """The place of a cylinder with its x towards a site; a sphere stays as it is."""
     x = at.rotation.T @ (site - at.translation)
     if kind == "cylinder":
@@ -257,7 +261,7 @@ def _towards(given: Item, at: Any, site: Array, radius: float, kind: str) -> Any
         raise Unexpressed("it wraps inside a geom")
     if kind == "sphere":
         return at
-    x, z = unit(given, x, "sidesite"), np.array([0.0, 0.0, 1.0])
+    x, z = unit(entry, x, "sidesite"), np.array([0.0, 0.0, 1.0])
     return at * pin.SE3(np.column_stack((x, np.cross(z, x), z)), np.zeros(3))
 
 

@@ -40,8 +40,8 @@ class Bodies:
     def __init__(self, root: Element, defaults: Defaults, compiler: Compiler, source: str) -> None:
         self._defaults, self._compiler, self._source = defaults, compiler, source
         self.all: dict[str, Body] = {}
-        given = [one.get("name", "") for one in root.iterfind("worldbody//body")]
-        self._names = Names([WORLD, *given])
+        names = [one.get("name", "") for one in root.iterfind("worldbody//body")]
+        self._names = Names([WORLD, *names])
         place = pin.SE3.Identity()
         world = Body(Item(root, source), WORLD, "", place, place, [], [], [], [], [])
         self.all[WORLD] = world

@@ -22,22 +22,22 @@ def read_couplings(reading: Reading) -> dict[str, dict[str, Any]]:
     Raises:
         SceneError: An unknown joint, or values that are wrong.
     """
-    found: dict[str, tuple[str, Polynomial]] = {}
+    couplings: dict[str, tuple[str, Polynomial]] = {}
     for item in _active(reading, "joint"):
         try:
-            _couple(reading, item, found)
+            _couple(reading, item, couplings)
         except Unexpressed as error:
             reading.leave_out(item, str(error))
     settled = True
     while settled:  # what follows something that stands still stands still
-        still = [name for name, (parent, _) in found.items() if parent in reading.fixed]
+        still = [name for name, (parent, _) in couplings.items() if parent in reading.fixed]
         for name in still:
-            parent, function = found.pop(name)
+            parent, function = couplings.pop(name)
             reading.fixed[name] = float(function(reading.fixed[parent]))
         settled = bool(still)
     return {
         name: {"parent": parent, "polynomial": [float(c) for c in function.coef]}
-        for name, (parent, function) in found.items()
+        for name, (parent, function) in couplings.items()
     }
 
 
@@ -49,12 +49,12 @@ def _active(reading: Reading, kind: str) -> list[Item]:
     ]
 
 
-def _couple(reading: Reading, item: Item, found: dict[str, tuple[str, Polynomial]]) -> None:
+def _couple(reading: Reading, item: Item, couplings: dict[str, tuple[str, Polynomial]]) -> None:
     """q1 - ref1 = c0 + c1 (q2 - ref2) + ..; without a second joint q1 - ref1 = c0."""
     joint = reading.joint(item, "joint1")
     function = Polynomial(item.vector("polycoef", _LINEAR, 1))
-    if joint.name in found:
-        raise Unexpressed(f"'{joint.name}' follows '{found[joint.name][0]}' already")
+    if joint.name in couplings:
+        raise Unexpressed(f"'{joint.name}' follows '{couplings[joint.name][0]}' already")
     if "joint2" not in item:
         reading.fixed[joint.name] = joint.ref + float(function.coef[0])
         return
@@ -66,12 +66,12 @@ def _couple(reading: Reading, item: Item, found: dict[str, tuple[str, Polynomial
         return
     parent = reading.joint(item, "joint2")
     above = parent.name
-    while above in found:
-        above = found[above][0]
+    while above in couplings:
+        above = couplings[above][0]
     if above == joint.name:
         raise Unexpressed(f"'{parent.name}' follows '{joint.name}', which leads in a circle")
     moved = function(Polynomial([-parent.ref, 1.0])) + joint.ref
-    found[joint.name] = parent.name, moved.trim()
+    couplings[joint.name] = parent.name, moved.trim()
 
 
 def read_closures(reading: Reading) -> list[dict[str, Any]]:

@@ -46,16 +46,16 @@ def body_inertia(
     """
     from_geoms = compiler.from_geoms
     if inertial is not None and from_geoms != "true":
-        found = _given(inertial, compiler)
+        inertia = _explicit_inertia(inertial, compiler)
     else:
-        found = pin.Inertia.Zero()
+        inertia = pin.Inertia.Zero()
         for geom, place in geoms if from_geoms != "false" else ():
             if compiler.groups[0] <= geom.number("group", 0.0) <= compiler.groups[1]:
-                found += place.act(_solid(geom, meshes))
-    return _bounded(found, compiler)
+                inertia += place.act(_solid(geom, meshes))
+    return _bounded(inertia, compiler)
 
 
-def _given(inertial: Item, compiler: Compiler) -> Any:
+def _explicit_inertia(inertial: Item, compiler: Compiler) -> Any:
     at = placed(inertial, compiler)
     if "mass" not in inertial or inertial.number("mass", 0.0) < 0.0:
         raise inertial.error("it has no mass, or a negative one")
@@ -164,14 +164,14 @@ def geom_sizes(geom: Item) -> list[float]:
         SceneError: Too few of them, or one that is not positive.
     """
     count = _SIZES[geom_type(geom)]
-    given = geom.numbers("size", 1, 3) if "size" in geom else []
+    sizes = geom.numbers("size", 1, 3) if "size" in geom else []
     if "fromto" in geom and count > 1:
         first, last = np.reshape(geom.vector("fromto", [0.0] * 6), (2, 3))
         half = 0.5 * float(np.linalg.norm(last - first))
-        given = [*given[:1], half] if count == 2 else [*given[:1], *given[:1], half]
-    if len(given) < count or min(given[:count]) <= 0.0:
-        raise geom.error(f"size is {given}, expected {count} positive numbers")
-    return given[:count]
+        sizes = [*sizes[:1], half] if count == 2 else [*sizes[:1], *sizes[:1], half]
+    if len(sizes) < count or min(sizes[:count]) <= 0.0:
+        raise geom.error(f"size is {sizes}, expected {count} positive numbers")
+    return sizes[:count]
 
 
 class Meshes:
@@ -229,8 +229,8 @@ class Meshes:
             numbers = item.numbers("vertex", 12, 3_000_000)
             vertices, faces = np.reshape(numbers[: len(numbers) // 3 * 3], (-1, 3)), None
             if "face" in item:
-                given = item.numbers("face", 3, 3_000_000)
-                faces = np.reshape(given[: len(given) // 3 * 3], (-1, 3)).astype(np.intp)
+                indices = item.numbers("face", 3, 3_000_000)
+                faces = np.reshape(indices[: len(indices) // 3 * 3], (-1, 3)).astype(np.intp)
                 if faces.min() < 0 or faces.max() >= len(vertices):
                     raise item.error(f"face names vertices beyond 0 .. {len(vertices) - 1}")
         if not (np.abs(vertices) <= _LARGEST_PLACE).all():
@@ -302,8 +302,8 @@ def _volume_and_centre(corners: Array, at: Array, is_signed: bool) -> tuple[floa
 def _volumes(corners: Array, is_signed: bool) -> Array:
     """Volumes of the pyramids between triangles and the origin [m^3], shape (n,)."""
     a, b, c = np.moveaxis(corners, 1, 0)
-    found = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    return found if is_signed else np.abs(found)
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+    return volumes if is_signed else np.abs(volumes)
 
 
 def _inertia(corners: Array, centre: Array, is_signed: bool) -> Any:

@@ -55,7 +55,7 @@ class Item:
         return self.element.get("name", "").strip()
 
     def error(self, text: str) -> SceneError:
-        """What is wrong with this element."""
+        """Return an error that names this element."""
         title = f"{self.type} '{self.name}'" if self.name else self.type
         return SceneError(f"{self.source}: {title}: {text}")
 
@@ -133,8 +133,8 @@ class Item:
             SceneError: Another count, or a word that is no finite number.
         """
         size = len(default)
-        given = self.numbers(key, least or size, size) if key in self else []
-        return [*given, *map(float, default[len(given) :])]
+        leading = self.numbers(key, least or size, size) if key in self else []
+        return [*leading, *map(float, default[len(leading) :])]
 
     def _number(self, word: str, key: str) -> float:
         try:
@@ -187,17 +187,19 @@ class Defaults:
         return Item(element, self._source, self._classes[name].get(kind, {}))
 
     def _read(self, element: Element, name: str, outer: Attributes) -> None:
-        own = outer.new_child()
-        for kind, given in _settings(element):
-            own[kind] = own[kind].new_child(given) if kind in own else ChainMap(given)
-        self._classes[name] = own
+        defaults = outer.new_child()
+        for kind, settings in _settings(element):
+            defaults[kind] = (
+                defaults[kind].new_child(settings) if kind in defaults else ChainMap(settings)
+            )
+        self._classes[name] = defaults
         for inner in element.iterfind("default"):
             title = inner.get("class", "")
             if not title:
                 raise Item(inner, self._source).error("a default inside another has no class")
             if title in self._classes:
                 raise Item(inner, self._source).error(f"class '{title}' is given twice")
-            self._read(inner, title, own)
+            self._read(inner, title, defaults)
 
 
 def _settings(element: Element) -> Iterator[tuple[str, dict[str, str]]]:
@@ -212,10 +214,10 @@ def compiler_of(root: Element, source: str) -> Compiler:
     Raises:
         SceneError: Names attribute and what is accepted.
     """
-    given: dict[str, str] = {}
+    settings: dict[str, str] = {}
     for one in root.iterfind("compiler"):
-        given.update(one.attrib)
-    item = Item(Element("compiler", given), source)
+        settings.update(one.attrib)
+    item = Item(Element("compiler", settings), source)
     if item.choice("coordinate", ("local", "global")) == "global":
         raise item.error("coordinate is 'global', accepted: local")
     sequence = item.text("eulerseq", "xyz")
@@ -272,34 +274,34 @@ def placed(item: Item, compiler: Compiler) -> Any:
 
 
 def _rotation(item: Item, compiler: Compiler) -> Array:
-    given = [key for key in _TURNS if key in item]
-    if len(given) > 1:
-        own = [key for key in given if key in item.element.attrib]
-        if len(own) != 1:
-            raise item.error(f"orientation is given twice: {', '.join(given)}")
-        given = own
-    key = given[0] if given else ""
-    found: Array = np.eye(3)
+    keys = [key for key in _TURNS if key in item]
+    if len(keys) > 1:
+        keys_here = [key for key in keys if key in item.element.attrib]
+        if len(keys_here) != 1:
+            raise item.error(f"orientation is given twice: {', '.join(keys)}")
+        keys = keys_here
+    key = keys[0] if keys else ""
+    rotation: Array = np.eye(3)
     if key == "quat":
         w, *xyz = unit(item, np.array(item.vector(key, [0.0] * 4)), key)
-        found = pin.Quaternion(w, *xyz).toRotationMatrix()
+        rotation = pin.Quaternion(w, *xyz).toRotationMatrix()
     elif key == "axisangle":
         *axis, angle = item.vector(key, [0.0] * 4)
         axis = unit(item, np.array(axis), key)
-        found = pin.AngleAxis(angle * compiler.degree, axis).toRotationMatrix()
+        rotation = pin.AngleAxis(angle * compiler.degree, axis).toRotationMatrix()
     elif key == "xyaxes":
         x, y = np.reshape(item.vector(key, [0.0] * 6), (2, 3))
         x = unit(item, x, key)
         y = unit(item, y - x * (x @ y), key)
-        found = np.column_stack((x, y, np.cross(x, y)))
+        rotation = np.column_stack((x, y, np.cross(x, y)))
     elif key == "zaxis":
-        found = turned_to(unit(item, np.array(item.vector(key, [0.0] * 3)), key))
+        rotation = turned_to(unit(item, np.array(item.vector(key, [0.0] * 3)), key))
     elif key == "euler":
         for angle, letter in zip(item.vector(key, [0.0] * 3), compiler.sequence, strict=True):
             axis = _AXES["xyz".index(letter.lower())]
             turn = pin.AngleAxis(angle * compiler.degree, axis).toRotationMatrix()
-            found = found @ turn if letter.islower() else turn @ found
-    return found
+            rotation = rotation @ turn if letter.islower() else turn @ rotation
+    return rotation
 
 
 def unit(item: Item, vector: Array, key: str) -> Array:

@@ -38,7 +38,7 @@ class Tree:
         links: Names of links, the root first.
         joints: Joints of the description.
         hinges: Those that move, by name.
-        given: Name of a joint of the file -> names of its hinges.
+        joint_names: Name of a joint of the file -> names of its hinges.
         base: Name of the body that moves freely as base of the robot, or empty.
 
     Raises:
@@ -48,21 +48,21 @@ class Tree:
     def __init__(self, bodies: Bodies, compiler: Compiler) -> None:
         self.bodies, self._compiler = bodies, compiler
         self.hinges: dict[str, Hinge] = {}
-        self.given: dict[str, list[str]] = {}
+        self.joint_names: dict[str, list[str]] = {}
         self.joints: list[UrdfJoint] = []
         self.base = self._free_base()
         self.links = [self.base or WORLD]
         if self.base:
-            self.given[bodies.all[self.base].joints[0].item.name] = []
+            self.joint_names[bodies.all[self.base].joints[0].item.name] = []
         self._static = self._at_rest()
-        own = [one.item.name for _, one in bodies.elements("joints")]
+        joint_names = [one.item.name for _, one in bodies.elements("joints")]
         source = bodies.all[WORLD].item.source
-        if len(own) > MAX_LINKS:
-            raise SceneError(f"{source}: {len(own)} joints, accepted are {MAX_LINKS}")
-        for name, count in Counter(own).items():
+        if len(joint_names) > MAX_LINKS:
+            raise SceneError(f"{source}: {len(joint_names)} joints, accepted are {MAX_LINKS}")
+        for name, count in Counter(joint_names).items():
             if name and count > 1:
                 raise SceneError(f"{source}: two joints are called '{name}'")
-        self._names = Names(name for name in own if name)
+        self._names = Names(name for name in joint_names if name)
         self._links = Names(bodies.all)
         for body in bodies.all.values():
             if body.name not in (WORLD, self.base) and not (
@@ -82,10 +82,10 @@ class Tree:
 
     def carrier(self, body: str) -> str:
         """The body whose joints carry a body, the world for those at rest."""
-        found = self.bodies.all[body]
-        while not found.joints and found.parent:
-            found = self.bodies.all[found.parent]
-        return found.name
+        carrier_body = self.bodies.all[body]
+        while not carrier_body.joints and carrier_body.parent:
+            carrier_body = self.bodies.all[carrier_body.parent]
+        return carrier_body.name
 
     def _at_rest(self) -> set[str]:
         return {name for name in self.bodies.all if self.carrier(name) == WORLD}
@@ -108,7 +108,7 @@ class Tree:
         names = [one.item.name or self._names.take(f"{body.name}_joint") for one in body.joints]
         hinges = hinges_of(body, names, self._compiler)
         for name, one in zip(names, body.joints, strict=True):
-            self.given[name] = [hinge.name for hinge in hinges if hinge.item is one.item]
+            self.joint_names[name] = [hinge.name for hinge in hinges if hinge.item is one.item]
         parent, origin = body.parent, body.at
         for i, hinge in enumerate(hinges):
             origin = origin * hinge.before
@@ -134,16 +134,16 @@ def hinges_of(body: Body, names: Sequence[str], compiler: Compiler) -> list[Hing
     Raises:
         SceneError: A free joint beside others or inside another body, or values that are wrong.
     """
-    found = list[Hinge]()
+    hinges = list[Hinge]()
     for (item, frame), name in zip(body.joints, names, strict=True):
         kind = joint_type(item)
         if kind == "free" and (len(body.joints) > 1 or body.parent != "world"):
             raise item.error("a free joint stands alone, in a body of the world")
         if kind in ("free", "ball"):
-            found += _free(item, name, body.at) if kind == "free" else _ball(item, name, frame)
+            hinges += _free(item, name, body.at) if kind == "free" else _ball(item, name, frame)
         else:
-            found.append(_hinge(Placed(item, frame), name, kind == "hinge", compiler))
-    return found
+            hinges.append(_hinge(Placed(item, frame), name, kind == "hinge", compiler))
+    return hinges
 
 
 class Hinge(NamedTuple):
@@ -170,7 +170,7 @@ class Hinge(NamedTuple):
 
 
 def joint_type(item: Item) -> str:
-    """What a joint is; `<freejoint>` is free.
+    """Return the type of a joint; a `<freejoint>` is free.
 
     Raises:
         SceneError: An unknown one, or unknown attributes.
@@ -181,8 +181,8 @@ def joint_type(item: Item) -> str:
     return item.only(_JOINT).choice("type", _TYPES)
 
 
-def _hinge(given: Placed, name: str, turns: bool, compiler: Compiler) -> Hinge:
-    item, frame = given
+def _hinge(placed: Placed, name: str, turns: bool, compiler: Compiler) -> Hinge:
+    item, frame = placed
     unit_of_angle = compiler.degree if turns else 1.0
     axis = frame.rotation @ unit(item, np.array(item.vector("axis", (0.0, 0.0, 1.0))), "axis")
     anchor = frame.act(np.array(item.vector("pos", (0.0, 0.0, 0.0)))) if turns else np.zeros(3)
@@ -264,19 +264,19 @@ def passive(hinge: Hinge) -> list[dict[str, Any]]:
 
 
 def unexpressed(item: Item) -> str:
-    """What of a joint a scene does not have, empty for most."""
-    kind, found = joint_type(item), list[str]()
+    """Return the attributes of a joint that a scene cannot express, empty for most joints."""
+    kind, reasons = joint_type(item), list[str]()
     if kind in ("free", "ball"):
-        found = [key for key in _PASSIVE if item.type != "freejoint" and _is_there(item, key)]
-        found += ["range"] if kind == "ball" and "range" in item else []
+        reasons = [key for key in _PASSIVE if item.type != "freejoint" and _is_there(item, key)]
+        reasons += ["range"] if kind == "ball" and "range" in item else []
     else:
-        found = [
+        reasons = [
             f"{key} beyond its first number"
             for key in ("stiffness", "damping")
             if any(item.vector(key, [0.0] * 3, 1)[1:])
         ]
-        found += ["springdamper"] if _is_there(item, "springdamper") else []
-    return ", ".join(found)
+        reasons += ["springdamper"] if _is_there(item, "springdamper") else []
+    return ", ".join(reasons)
 
 
 def _is_there(item: Item, key: str) -> bool:

@@ -145,7 +145,10 @@ def _sections(reading: Reading, couplings: dict[str, Any]) -> dict[str, Any]:
     sections: dict[str, Any] = {"couplings": couplings, "paths": reading.paths}
     sections |= {"forces": read_tendons(reading), "actuators": [], "constraints": []}
     for hinge in hinges.values():
-        if reading.tree.given.get(hinge.name) == [hinge.name] and hinge.name not in reading.fixed:
+        if (
+            reading.tree.joint_names.get(hinge.name) == [hinge.name]
+            and hinge.name not in reading.fixed
+        ):
             for entry in passive(hinge):
                 kind = entry["type"].removeprefix("joint_")
                 name = reading.names.part(f"{hinge.name}_{kind}", kind)
@@ -165,7 +168,7 @@ def _sections(reading: Reading, couplings: dict[str, Any]) -> dict[str, Any]:
 
 def _markers(reading: Reading) -> dict[str, dict[str, Any]]:
     """Named sites of bodies that move, those of tendons apart."""
-    found = dict[str, dict[str, Any]]()
+    markers = dict[str, dict[str, Any]]()
     held = {one.text("site") for item in reading.items("tendon") for one in reading.inner(item)}
     for body, (item, at) in reading.tree.bodies.elements("sites"):
         if not item.name or item.name in held or not reading.tree.moves(body.name):
@@ -173,8 +176,8 @@ def _markers(reading: Reading) -> dict[str, dict[str, Any]]:
         title = reading.names.part(item.name, "site")
         entry: dict[str, Any] = {"type": "marker", "frame": body.name}
         entry["xyz"] = at.translation.tolist()
-        found[title] = entry if title == item.name else {**entry, "label": item.name}
-    return found
+        markers[title] = entry if title == item.name else {**entry, "label": item.name}
+    return markers
 
 
 def _leave_out_others(reading: Reading) -> None:

@@ -1,4 +1,4 @@
-"""What is known while the sections of a model are read."""
+"""The state of reading a MuJoCo model: its tree, names and what was left out."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -58,10 +58,10 @@ class Reading:
 
     def option(self) -> Item:
         """Element `<option>`; later ones replace earlier ones."""
-        given: dict[str, str] = {}
+        settings: dict[str, str] = {}
         for one in self._root.iterfind("option"):
-            given.update(one.attrib)
-        return Item(Element("option", given), self._source)
+            settings.update(one.attrib)
+        return Item(Element("option", settings), self._source)
 
     def is_weightless(self) -> bool:
         """Whether a flag switches gravity off."""
@@ -83,11 +83,11 @@ class Reading:
             SceneError: It names none, or one that is not there.
             Unexpressed: A ball, a free joint, or one that does not move.
         """
-        name, given = item.text(key), self.tree.given
-        if name not in given or not name:
-            known = ", ".join(one for one in given if one) or "none"
+        name, names = item.text(key), self.tree.joint_names
+        if name not in names or not name:
+            known = ", ".join(one for one in names if one) or "none"
             raise item.error(f"{key}: there is no joint '{name}'; there are {known}")
-        if given[name] != [name]:
+        if names[name] != [name]:
             raise Unexpressed(f"'{name}' is no hinge and no slide")
         if name in self.fixed:
             raise Unexpressed(f"'{name}' is locked")
@@ -122,7 +122,7 @@ class Reading:
             Unexpressed: Always then.
         """
         if len({self._carrier(body) for body in bodies}) == 1:
-            raise Unexpressed("its bodies do not move against each other")
+            raise Unexpressed("its bodies have no relative motion")
 
     def _carrier(self, body: str) -> str:
         """The body whose joints, of those that are not locked, carry a body."""

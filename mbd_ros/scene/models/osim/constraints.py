@@ -77,7 +77,7 @@ def read_constraints(reading: Reading) -> list[Entry]:
     Raises:
         SceneError: Names element and what is wrong.
     """
-    found = [
+    entries = [
         {"name": reading.names.part(name, "closure"), **closure}
         for name, closure in reading.closures.items()
     ]
@@ -89,8 +89,8 @@ def read_constraints(reading: Reading) -> list[Entry]:
         except Unexpressed as error:
             reading.leave_out(item, str(error))
             continue
-        found.append({"name": reading.names.part(item.name, "constraint"), **entry})
-    return found
+        entries.append({"name": reading.names.part(item.name, "constraint"), **entry})
+    return entries
 
 
 def is_enforced(item: Item) -> bool:
@@ -120,22 +120,22 @@ def read_couplers(
     Raises:
         SceneError: Names coupler and what is wrong.
     """
-    found = Coupled({}, {}, [])
+    coupled = Coupled({}, {}, [])
     for name, coordinate in coordinates.items():
         if coordinate.locked or _prescribed_constant(coordinate) is not None:
             value = _prescribed_constant(coordinate)
-            found.fixed[name] = coordinate.default if value is None else value
+            coupled.fixed[name] = coordinate.default if value is None else value
     for name, position in locked.items():
         if position is None:
-            found.fixed.pop(name, None)
+            coupled.fixed.pop(name, None)
         else:
-            found.fixed[name] = position
+            coupled.fixed[name] = position
     for item in model.components("ConstraintSet", ending=COUPLER):
         if item.type == COUPLER and is_enforced(item):
-            _add(found, item, coordinates)
-    found.follows.update(joints)
-    _settle(found, model.source)
-    return found
+            _add(coupled, item, coordinates)
+    coupled.follows.update(joints)
+    _settle(coupled, model.source)
+    return coupled
 
 
 def _prescribed_constant(coordinate: Coordinate) -> float | None:
@@ -149,7 +149,7 @@ def _prescribed_constant(coordinate: Coordinate) -> float | None:
     return function.constant
 
 
-def _add(found: Coupled, item: Item, coordinates: Mapping[str, Coordinate]) -> None:
+def _add(coupled: Coupled, item: Item, coordinates: Mapping[str, Coordinate]) -> None:
     parents = item.words("independent_coordinate_names")
     child = item.text("dependent_coordinate_name")
     for name in (child, *parents):
@@ -158,39 +158,39 @@ def _add(found: Coupled, item: Item, coordinates: Mapping[str, Coordinate]) -> N
     reason = ""
     if len(parents) != 1:
         reason = f"follows {len(parents)} coordinates"
-    elif child in found.fixed:
+    elif child in coupled.fixed:
         reason = f"'{child}' is locked"
-    elif child in found.follows:
-        reason = f"'{child}' follows '{found.follows[child].coordinate}' already"
+    elif child in coupled.follows:
+        reason = f"'{child}' follows '{coupled.follows[child].coordinate}' already"
     try:
         function = function_in(item.find("coupled_coordinates_function"))
     except UnknownFunction as error:
         reason = reason or str(error)
     if reason:
-        found.left_out.append(LeftOut(item.type, item.name, reason))
+        coupled.left_out.append(LeftOut(item.type, item.name, reason))
         return
     scale = item.number("scale_factor", default=1.0)
     function = function if scale == 1.0 else scaled(function, scale)
     if function.constant is not None:
-        found.fixed[child] = function.constant
+        coupled.fixed[child] = function.constant
     else:
-        found.follows[child] = Follows(parents[0], function)
+        coupled.follows[child] = Follows(parents[0], function)
 
 
-def _settle(found: Coupled, source: str) -> None:
-    """What follows something that stands still stands still."""
+def _settle(coupled: Coupled, source: str) -> None:
+    """Fix every coordinate that follows a fixed one."""
     settled = True
     while settled:
         settled = False
-        for name, (parent, function) in list(found.follows.items()):
-            if parent in found.fixed:
-                found.fixed[name] = function.value(found.fixed[parent], f"{source}: {name}")
-                del found.follows[name]
+        for name, (parent, function) in list(coupled.follows.items()):
+            if parent in coupled.fixed:
+                coupled.fixed[name] = function.value(coupled.fixed[parent], f"{source}: {name}")
+                del coupled.follows[name]
                 settled = True
 
 
 class Coupled(NamedTuple):
-    """What the coordinates of a model do besides moving.
+    """Fixed and dependent coordinates of a model.
 
     Attributes:
         follows: Coordinate -> what it follows.
@@ -214,7 +214,7 @@ def read_prescribed(
     Raises:
         SceneError: Names coordinate and what is wrong.
     """
-    found = []
+    motions = []
     for name, coordinate in coordinates.items():
         is_free = name in reading.joints and name not in reading.fixed and name not in coupled
         if is_free and coordinate.item.flag("prescribed"):
@@ -224,8 +224,8 @@ def read_prescribed(
                 reading.leave_out(coordinate.item, str(error))
                 continue
             title = reading.names.part(f"{name}_motion", "motion")
-            found.append({"name": title, "type": "prescribed_motion", "joint": name, **motion})
-    return found
+            motions.append({"name": title, "type": "prescribed_motion", "joint": name, **motion})
+    return motions
 
 
 def _motion(item: Item) -> dict[str, Any]:

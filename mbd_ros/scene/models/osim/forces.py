@@ -186,23 +186,23 @@ def contact_entries(reading: Reading, item: Item) -> list[Entry]:
     if not pairs:
         raise Unexpressed("no sphere and half space on bodies that move against each other")
     velocity = item.number("transition_velocity", default=0.01)
-    found = []
+    contacts = []
     for (a, of_a), (b, of_b) in pairs:
         name = reading.names.part(f"{item.name}_{a.name}", "contact")
-        found.append({"name": name, **_contact(a, b, of_a, of_b, velocity)})
-    told = _told(item, [material for pair in pairs for _, material in pair])
-    if told:
-        reading.leave_out(item, told)
-    return found
+        contacts.append({"name": name, **_contact(a, b, of_a, of_b, velocity)})
+    left_out = _left_out_terms(item, [material for pair in pairs for _, material in pair])
+    if left_out:
+        reading.leave_out(item, left_out)
+    return contacts
 
 
 def _pairs(
     reading: Reading, item: Item
 ) -> Iterator[tuple[tuple[Shape, Material], tuple[Shape, Material]]]:
     """Spheres with half spaces; with one another where there is no half space."""
-    given = list(_surfaces(reading, item))
-    planes = [one for one in given if math.isinf(one[0].radius)]
-    spheres = [one for one in given if not math.isinf(one[0].radius)]
+    surfaces = list(_surfaces(reading, item))
+    planes = [one for one in surfaces if math.isinf(one[0].radius)]
+    spheres = [one for one in surfaces if not math.isinf(one[0].radius)]
     pairs = itertools.product(spheres, planes) if planes else itertools.combinations(spheres, 2)
     for number, (a, b) in enumerate(pairs):
         if number == _MOST_PAIRS:
@@ -217,29 +217,29 @@ def _surfaces(reading: Reading, item: Item) -> Iterator[tuple[Shape, Material]]:
             yield _shape(reading, item, item.text(f"socket_{socket}")), _material(item)
         return
     tag = f"{item.type}__ContactParametersSet"
-    for given in item.objects(tag, "contact_parameters"):
-        for name in given.words("geometry"):
-            yield _shape(reading, item, name), _material(given)
+    for entry in item.objects(tag, "contact_parameters"):
+        for name in entry.words("geometry"):
+            yield _shape(reading, item, name), _material(entry)
 
 
 def _shape(reading: Reading, item: Item, path: str) -> Shape:
     name = path.rstrip("/").split("/")[-1]
     if name not in reading.contact_geometry:
         raise item.error(f"there is no contact geometry '{name}'")
-    given = reading.contact_geometry[name]
-    frame = reading.attached(given, "frame", "body_name", "body")
-    at = placement(given, ("location",), ("orientation",))
+    geometry = reading.contact_geometry[name]
+    frame = reading.attached(geometry, "frame", "body_name", "body")
+    at = placement(geometry, ("location",), ("orientation",))
     end = Attached(frame.body, frame.at * at)
     entry: Entry = {"frame": end.body, "xyz": end.at.translation.tolist()}
-    if given.type == "ContactSphere":
-        radius = given.number("radius", default=0.0)
+    if geometry.type == "ContactSphere":
+        radius = geometry.number("radius", default=0.0)
         if radius <= 0.0:
-            raise Unexpressed(f"the radius of {given.title} is {radius:g}")
+            raise Unexpressed(f"the radius of {geometry.title} is {radius:g}")
         return Shape(name, end.body, {**entry, "sphere": radius}, radius)
-    if given.type == "ContactHalfSpace":
+    if geometry.type == "ContactHalfSpace":
         normal = end.direction(_OUTWARDS)
         return Shape(name, end.body, {**entry, "half_space": normal}, math.inf)
-    raise Unexpressed(f"geometry {given.title}")
+    raise Unexpressed(f"geometry {geometry.title}")
 
 
 def _material(item: Item) -> Material:
@@ -275,16 +275,16 @@ def _contact(a: Shape, b: Shape, of_a: Material, of_b: Material, velocity: float
     return entry
 
 
-def _told(item: Item, materials: list[Material]) -> str:
-    """What of the law a contact of a scene does not have."""
-    told = []
+def _left_out_terms(item: Item, materials: list[Material]) -> str:
+    """Return the terms of the contact law that a scene cannot express."""
+    missing = []
     if any(m.friction[0] != m.friction[1] for m in materials):
-        told.append("static friction")
+        missing.append("static friction")
     if any(m.friction[2] for m in materials):
-        told.append("viscous friction")
+        missing.append("viscous friction")
     if item.type != CONTACTS[0]:
-        told.append("its smoothing")
-    return f"is there without {', '.join(told)}" if told else ""
+        missing.append("its smoothing")
+    return f"is there without {', '.join(missing)}" if missing else ""
 
 
 class Shape(NamedTuple):

@@ -103,7 +103,7 @@ def _multiplier(item: Item) -> Function:
 
 
 def _sine(item: Item) -> Function:
-    """Of the coordinate, as OpenSim's functions of one number are."""
+    """A sine of the coordinate."""
     amplitude, omega = (item.number(tag, default=1.0) for tag in ("amplitude", "omega"))
     phase, offset = (item.number(tag, default=0.0) for tag in ("phase", "offset"))
     return sine(amplitude, omega, phase, offset)
@@ -123,18 +123,18 @@ def scaled(function: Function, scale: float) -> Function:
         return constant(function.constant * scale)
     if scale == 0.0:
         return constant(0.0)
-    ((kind, given), *_) = function.entry.items()
+    ((kind, terms), *_) = function.entry.items()
     if kind == "factor":
-        return linear(given * scale, function.offset * scale)
+        return linear(terms * scale, function.offset * scale)
     if kind == "polynomial":
-        return Function({kind: [c * scale for c in given]})
+        return Function({kind: [c * scale for c in terms]})
     if kind == "piecewise_polynomial":
-        rows = [[c * scale for c in row] for row in given["coefficients"]]
-        return Function({kind: {**given, "coefficients": rows}})
+        rows = [[c * scale for c in row] for row in terms["coefficients"]]
+        return Function({kind: {**terms, "coefficients": rows}})
     if kind == "harmonic":
-        heights = {key: given[key] * scale for key in ("amplitude", "offset")}
-        return Function({kind: {**given, **heights}})
-    return Function({kind: {**given, "y": [y * scale for y in given["y"]]}})
+        heights = {key: terms[key] * scale for key in ("amplitude", "offset")}
+        return Function({kind: {**terms, **heights}})
+    return Function({kind: {**terms, "y": [y * scale for y in terms["y"]]}})
 
 
 _READERS: Mapping[str, Callable[[Item], Function]] = {

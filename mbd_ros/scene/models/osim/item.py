@@ -69,23 +69,23 @@ class Item:
         return f"{self.source}: {self.title}"
 
     def error(self, text: str) -> SceneError:
-        """What is wrong with this element."""
+        """Return an error that names this element."""
         return SceneError(f"{self.where}: {text}")
 
     def find(self, *tags: str) -> Item | None:
         """The first element inside with one of these tags."""
         for tag in tags:
-            found = self._child(tag)
-            if found is not None:
-                return Item(found, self.source, self.defaults, self)
+            element = self._child(tag)
+            if element is not None:
+                return Item(element, self.source, self.defaults, self)
         return None
 
     def text(self, *tags: str, default: str = "") -> str:
         """Text of the first of these elements that has some."""
         for tag in tags:
-            found = self._child(tag)
-            if found is not None and found.text and found.text.strip():
-                return found.text.strip()
+            element = self._child(tag)
+            if element is not None and element.text and element.text.strip():
+                return element.text.strip()
         return default
 
     def words(self, *tags: str) -> list[str]:
@@ -117,12 +117,12 @@ class Item:
         Raises:
             SceneError: It is missing and has no default, or is no finite number.
         """
-        found = self.numbers(*tags)
-        if not found and default is not None:
+        values = self.numbers(*tags)
+        if not values and default is not None:
             return default
-        if len(found) != 1:
-            raise self.error(f"<{tags[0]}> has {len(found)} numbers, expected 1")
-        return found[0]
+        if len(values) != 1:
+            raise self.error(f"<{tags[0]}> has {len(values)} numbers, expected 1")
+        return values[0]
 
     def vector(
         self, *tags: str, default: Sequence[float] | None = (0.0, 0.0, 0.0), length: int = 3
@@ -132,12 +132,12 @@ class Item:
         Raises:
             SceneError: It is missing and has no default, or has another number of numbers.
         """
-        found = self.numbers(*tags)
-        if not found and default is not None:
+        values = self.numbers(*tags)
+        if not values and default is not None:
             return [float(one) for one in default]
-        if len(found) != length:
-            raise self.error(f"<{tags[0]}> has {len(found)} numbers, expected {length}")
-        return found
+        if len(values) != length:
+            raise self.error(f"<{tags[0]}> has {len(values)} numbers, expected {length}")
+        return values
 
     def objects(self, *tags: str) -> Iterator[Item]:
         """The elements of a set: in `<objects>`, or in the set itself."""
@@ -163,10 +163,10 @@ class Item:
             yield Item(element, self.source, self.defaults, self)
 
     def _child(self, tag: str) -> Element | None:
-        found = self.element.find(tag)
-        if found is None and self.type in self.defaults:
+        child_ = self.element.find(tag)
+        if child_ is None and self.type in self.defaults:
             return self.defaults[self.type].find(tag)
-        return found
+        return child_
 
     def _number(self, word: str, tag: str) -> float:
         try:
@@ -195,7 +195,7 @@ class Frames:
         self.bodies = (GROUND, *(name for name in names if name != GROUND))
         self._offsets: dict[str, Item] = {}
         self._scoped: dict[tuple[str, str], Item] = {}
-        self._held: dict[Element, dict[str, Item]] = {}
+        self._frames: dict[Element, dict[str, Item]] = {}
         self._index(model)
 
     def attached(self, item: Item, *sockets: str) -> Attached:
@@ -217,7 +217,7 @@ class Frames:
         if last == "..":
             last = _above(item, path.count(".."))
         owner = before[-1] if before else ""
-        offset = self._own(item, last) or self._scoped.get((owner, last))
+        offset = self._frame_of(item, last) or self._scoped.get((owner, last))
         if offset is None and last in self.bodies:
             return Attached(last, pin.SE3.Identity())
         offset = offset or self._offsets.get(last)
@@ -230,28 +230,28 @@ class Frames:
         body, at = self._resolve(offset, parent, depth + 1)
         return Attached(body, at * placement(offset, ("translation",), ("orientation",)))
 
-    def _own(self, item: Item, name: str) -> Item | None:
+    def _frame_of(self, item: Item, name: str) -> Item | None:
         """A frame that the element, or one around it, holds itself."""
         around: Item | None = item
         while around is not None:
-            if around.element not in self._held:
-                self._held[around.element] = _frames_in(around)
-            if name in self._held[around.element]:
-                return self._held[around.element][name]
+            if around.element not in self._frames:
+                self._frames[around.element] = _frames_in(around)
+            if name in self._frames[around.element]:
+                return self._frames[around.element][name]
             around = around.outer
         return None
 
     def _through_stations(self, item: Item, depth: int) -> Attached:
         """A frame given by three points and an origin."""
-        found = []
+        stations = []
         for point in ("point_a", "point_b", "point_c", "origin_point"):
             path = socket(item, point)
             station = self._offsets.get(path.split("/")[-1])
             if station is None:
                 raise item.error(f"there is no station '{path}'")
             frame = self._resolve(station, socket(station, "parent_frame"), depth + 1)
-            found.append((frame.body, np.array(frame.point(station.vector("location")))))
-        bodies, points = zip(*found, strict=True)
+            stations.append((frame.body, np.array(frame.point(station.vector("location")))))
+        bodies, points = zip(*stations, strict=True)
         if len(set(bodies)) > 1:
             raise item.error(f"its points are on {', '.join(sorted(set(bodies)))}")
         return Attached(bodies[0], pin.SE3(station_axes(item, points), points[3]))
@@ -290,13 +290,13 @@ class Attached(NamedTuple):
 
     def point(self, xyz: Sequence[float]) -> list[float]:
         """A point of the frame in the axes of the body [m], shape (3,)."""
-        found: list[float] = self.at.act(np.array(xyz, dtype=np.float64)).tolist()
-        return found
+        values: list[float] = self.at.act(np.array(xyz, dtype=np.float64)).tolist()
+        return values
 
     def direction(self, vector: Sequence[float]) -> list[float]:
         """A direction of the frame in the axes of the body, shape (3,)."""
-        found: list[float] = (self.at.rotation @ np.array(vector, dtype=np.float64)).tolist()
-        return found
+        values: list[float] = (self.at.rotation @ np.array(vector, dtype=np.float64)).tolist()
+        return values
 
 
 def socket(item: Item, *names: str) -> str:
@@ -368,7 +368,7 @@ def frame_entries(letter: str, end: Attached) -> dict[str, Any]:
 
 
 def old_placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
-    """As `placement`, for what files before 4.0 write where they now have offset frames.
+    """Return a placement as files before version 4.0 write it, without offset frames.
 
     OpenSim keeps six digits of these numbers when it reads such a file.
     """

@@ -50,14 +50,14 @@ def read_joints(model: Item, frames: Frames) -> list[Joint]:
     Raises:
         SceneError: Names file, joint and what is wrong.
     """
-    found = [_joint(item, frames, "") for item in model.components("JointSet", ending="Joint")]
+    joints = [_joint(item, frames, "") for item in model.components("JointSet", ending="Joint")]
     for body in model.objects("BodySet"):
         for item in body.objects("Joint", "joint"):  # before 4.0 a body holds its joint
-            found.append(_joint(item, frames, body.name))
-    if len(found) > MAX_LINKS:
-        raise model.error(f"{len(found)} joints, accepted are {MAX_LINKS}")
+            joints.append(_joint(item, frames, body.name))
+    if len(joints) > MAX_LINKS:
+        raise model.error(f"{len(joints)} joints, accepted are {MAX_LINKS}")
     taken = Names()
-    return [_unique(joint, taken) for joint in found]
+    return [_unique(joint, taken) for joint in joints]
 
 
 class Joint(NamedTuple):
@@ -79,7 +79,7 @@ class Joint(NamedTuple):
     missing: str = ""
 
     @property
-    def whole(self) -> list[Step]:
+    def all_steps(self) -> list[Step]:
         """From the parent to the child."""
         return [self.parent.at, *self.steps, self.child.at.inverse()]
 
@@ -109,19 +109,19 @@ def _joint(item: Item, frames: Frames, child: str) -> Joint:
         parent.at * old_placement(item, ("location_in_parent",), ("orientation_in_parent",)),
     )
     if child and not socket(item, "child_frame", "child_body"):
-        own = Attached(child, pin.SE3.Identity())
+        child_frame = Attached(child, pin.SE3.Identity())
     else:
-        own = frames.attached(item, "child_frame", "child_body")
+        child_frame = frames.attached(item, "child_frame", "child_body")
     inner = old_placement(
         item, ("location_in_child", "location"), ("orientation_in_child", "orientation")
     )
-    own = Attached(own.body, own.at * inner)
-    if parent.body == own.body:
-        raise item.error(f"its parent and its child are both '{own.body}'")
+    child_frame = Attached(child_frame.body, child_frame.at * inner)
+    if parent.body == child_frame.body:
+        raise item.error(f"its parent and its child are both '{child_frame.body}'")
     if item.flag("reverse"):
-        parent, own = own, parent
+        parent, child_frame = child_frame, parent
     coordinates = _coordinates(item)
-    joint = Joint(item, item.name, parent, own, coordinates, ())
+    joint = Joint(item, item.name, parent, child_frame, coordinates, ())
     if item.type not in _STEPS:
         return joint._replace(missing=f"{item.type}: held at its frames")
     try:
@@ -133,10 +133,12 @@ def _joint(item: Item, frames: Frames, child: str) -> Joint:
 
 def _coordinates(item: Item) -> tuple[Coordinate, ...]:
     """Those of the file; those that it leaves out have the names that OpenSim gives them."""
-    found = [_coordinate(one) for one in item.objects("coordinates", "CoordinateSet")]
-    for i in range(len(found), _COUNTS.get(item.type, 0)):
-        found.append(Coordinate(item, f"{item.name}_coord_{i}", 0.0, 0.0, None, False))
-    return tuple(found)
+    listed = [
+        _coordinate(coordinate) for coordinate in item.objects("coordinates", "CoordinateSet")
+    ]
+    for i in range(len(listed), _COUNTS.get(item.type, 0)):
+        listed.append(Coordinate(item, f"{item.name}_coord_{i}", 0.0, 0.0, None, False))
+    return tuple(listed)
 
 
 def _coordinate(item: Item) -> Coordinate:
@@ -161,9 +163,9 @@ def _range(item: Item) -> list[float]:
 def _unique(joint: Joint, taken: Names) -> Joint:
     """The joint with coordinates of names that no joint before it has."""
     names = {}
-    for one in joint.coordinates:
-        is_new = one.name not in taken
-        names[one.name] = taken.take(one.name if is_new else f"{joint.name}_{one.name}")
+    for joint_ in joint.coordinates:
+        is_new = joint_.name not in taken
+        names[joint_.name] = taken.take(joint_.name if is_new else f"{joint.name}_{joint_.name}")
     if all(name == other for name, other in names.items()):
         return joint
     steps = [
@@ -172,7 +174,7 @@ def _unique(joint: Joint, taken: Names) -> Joint:
         else step
         for step in joint.steps
     ]
-    coordinates = tuple(one._replace(name=names[one.name]) for one in joint.coordinates)
+    coordinates = tuple(joint_._replace(name=names[joint_.name]) for joint_ in joint.coordinates)
     return joint._replace(coordinates=coordinates, steps=tuple(steps))
 
 
@@ -217,8 +219,8 @@ def _motion(joint: Joint, axis: Item, name: str, turns: bool) -> Motion:
     direction = np.array(axis.vector("axis", default=None))
     length = float(np.linalg.norm(direction))
     coordinates = axis.words("coordinates", "coordinate")
-    own = {coordinate.name for coordinate in joint.coordinates}
-    unknown = [one for one in coordinates if one not in own]
+    known = {coordinate.name for coordinate in joint.coordinates}
+    unknown = [coordinate_name for coordinate_name in coordinates if coordinate_name not in known]
     if unknown:
         raise joint.item.error(f"{axis.title}: no coordinate '{unknown[0]}' in this joint")
     function = _function(axis, bool(coordinates))
@@ -235,14 +237,16 @@ def _motion(joint: Joint, axis: Item, name: str, turns: bool) -> Motion:
 
 
 def _function(axis: Item, moves: bool) -> Function:
-    own = [one for one in axis.children() if one.name == "function" and is_function(one)]
-    if own:
-        return function_of(own[0])
+    functions = [
+        child for child in axis.children() if child.name == "function" and is_function(child)
+    ]
+    if functions:
+        return function_of(functions[0])
     holder = axis.find("function")
     has_one = holder is not None and len(holder.element) > 0
     if not moves and not has_one:
         return constant(0.0)
-    others = [one for one in axis.children() if one.name == "function"]
+    others = [child for child in axis.children() if child.name == "function"]
     if others:
         raise UnknownFunction(f"function {others[0].type}")
     return function_in(holder)
@@ -280,7 +284,7 @@ def _steps(joint: Joint, radii: Sequence[float]) -> list[Step]:
     along z between turns about x by q0, and one between turns by -q0, add up to any b and c.
     """
     a, b, c = radii
-    q0, q1, q2 = (one.name for one in joint.coordinates[:3])
+    q0, q1, q2 = (coordinate.name for coordinate in joint.coordinates[:3])
     mean, half = (b + c) / 2.0, (c - b) / 2.0
 
     def step(ending: str, axis: Array, turns: bool, function: Function, name: str) -> Motion:

@@ -53,14 +53,14 @@ class Mechanism:
 
     def carriers(self, fixed: Mapping[str, float]) -> dict[str, str]:
         """Link -> the joint that carries it where some do not move, empty for ground."""
-        found = {GROUND: ""}
+        names = {GROUND: ""}
         for joint in self.joints:
             moves = joint.motion is not None and joint.name not in fixed
-            found[joint.child] = joint.name if moves else found[joint.parent]
-        return found
+            names[joint.child] = joint.name if moves else names[joint.parent]
+        return names
 
     def _add(self, joint: Joint) -> None:
-        steps, carriers = joint.whole, _carriers(joint)
+        steps, carriers = joint.all_steps, _carriers(joint)
         if joint.parent.body not in self.links:
             raise joint.item.error(f"its parent '{joint.parent.body}' is not in the tree")
         parent, origin = joint.parent.body, pin.SE3.Identity()
@@ -102,7 +102,7 @@ class Mechanism:
             if not users:
                 self.unused.append(coordinate)
             elif coordinate.name not in carriers:
-                turns = any(one.turns for one in users)
+                turns = any(step.turns for step in users)
                 motion = Motion("", users[0].axis, turns, IDENTITY, coordinate.name)
                 child = self._link(coordinate.name)
                 at = UrdfJoint(
@@ -130,12 +130,12 @@ class Follows(NamedTuple):
 
 def _carriers(joint: Joint) -> dict[str, Motion]:
     """Coordinate -> the motion that is the coordinate itself, perhaps backwards, turns first."""
-    found: dict[str, Motion] = {}
+    motion_of: dict[str, Motion] = {}
     motions = [step for step in joint.steps if _moves(step)]
-    for step in sorted(motions, key=lambda one: not one.turns):
+    for step in sorted(motions, key=lambda motion: not motion.turns):
         if step.function.slope in (1.0, -1.0):
-            found.setdefault(step.coordinate, step)
-    return found
+            motion_of.setdefault(step.coordinate, step)
+    return motion_of
 
 
 def _moves(step: Step) -> bool:
@@ -148,12 +148,12 @@ def _placed(step: Step) -> Any:
 
 def _is_none(rest: Iterable[Step]) -> bool:
     """Whether nothing follows but placements that are none."""
-    whole = pin.SE3.Identity()
+    product = pin.SE3.Identity()
     for step in rest:
         if _moves(step):
             return False
-        whole = whole * _placed(step)
-    return is_identity(whole)
+        product = product * _placed(step)
+    return is_identity(product)
 
 
 def in_tree_order(
@@ -165,17 +165,19 @@ def in_tree_order(
     """
     left, placed, ordered = list(joints), {GROUND}, list[Joint]()
     while left or len(placed) < len(frames.bodies):
-        found = _next(left, placed)
-        if found is not None:
-            left.remove(found)
-            found = found if found.parent.body in placed else turned_round(found)
+        next_joint = _next(left, placed)
+        if next_joint is not None:
+            left.remove(next_joint)
+            next_joint = (
+                next_joint if next_joint.parent.body in placed else turned_round(next_joint)
+            )
         else:
             body = _base(left, placed, frames)
             if body is None:
                 break
-            found = free_joint(body, model)
-        ordered.append(found)
-        placed.add(found.child.body)
+            next_joint = free_joint(body, model)
+        ordered.append(next_joint)
+        placed.add(next_joint.child.body)
     return ordered, left
 
 
@@ -223,23 +225,21 @@ def open_loops(loops: Sequence[Joint], taken: Sequence[str]) -> Cut:
         loops: The joints that close loops.
         taken: Names that links have.
     """
-    found, names = Cut([], {}, {}), Names(taken)
-    for given in loops:
-        joint = turned_round(given) if given.child.body == GROUND else given
+    cut, names = Cut([], {}, {}), Names(taken)
+    for loop in loops:
+        joint = turned_round(loop) if loop.child.body == GROUND else loop
         closure: dict[str, Any] = {"type": "loop_closure"}
         if joint.item.type in _DIRECT:
             closure["kind"] = _DIRECT[joint.item.type]
             closure |= frame_entries("a", joint.parent) | frame_entries("b", joint.child)
         else:
             half = names.take(f"{joint.child.body}_{joint.name}")
-            found.halves[half] = joint.child.body
-            found.joints.append(joint._replace(child=Attached(half, joint.child.at)))
-            whole, other = (
-                Attached(name, pin.SE3.Identity()) for name in (joint.child.body, half)
-            )
-            closure |= {"kind": "full"} | frame_entries("a", whole) | frame_entries("b", other)
-        found.closures[joint.name] = closure
-    return found
+            cut.halves[half] = joint.child.body
+            cut.joints.append(joint._replace(child=Attached(half, joint.child.at)))
+            pose, other = (Attached(name, pin.SE3.Identity()) for name in (joint.child.body, half))
+            closure |= {"kind": "full"} | frame_entries("a", pose) | frame_entries("b", other)
+        cut.closures[joint.name] = closure
+    return cut
 
 
 class Cut(NamedTuple):
@@ -258,10 +258,10 @@ class Cut(NamedTuple):
 
 def share_masses(masses: dict[str, Mass], halves: dict[str, str]) -> dict[str, Mass]:
     """Masses with each body that is cut shared evenly by its parts."""
-    found = dict(masses)
+    shares = dict(masses)
     for body in set(halves.values()):
-        parts = [body, *(half for half, whole in halves.items() if whole == body)]
-        whole = masses[body]
-        moments = [moment / len(parts) for moment in whole.moments]
-        found |= dict.fromkeys(parts, Mass(whole.mass / len(parts), whole.centre, moments))
-    return found
+        parts = [body, *(half for half, of_body in halves.items() if of_body == body)]
+        of_body = masses[body]
+        moments = [moment / len(parts) for moment in of_body.moments]
+        shares |= dict.fromkeys(parts, Mass(of_body.mass / len(parts), of_body.centre, moments))
+    return shares

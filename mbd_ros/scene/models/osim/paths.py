@@ -25,22 +25,22 @@ def read_path(reading: Reading, owner: Item) -> dict[str, Any]:
         Unexpressed: No path of a scene expresses it.
     """
     geometry = owner.find("GeometryPath", "path") or owner
-    other = [one.type for one in owner.children() if one.type.endswith("Path")]
+    other = [element.type for element in owner.children() if element.type.endswith("Path")]
     if geometry is owner and other:
         raise Unexpressed(f"path {other[0]}")
     items = list(geometry.objects("PathPointSet", "MusclePointSet"))
-    points = [_point(reading, one) for one in items]
-    kept = [i for i, one in enumerate(points) if one is not None]
-    entry: dict[str, Any] = {"points": [points[i] for i in kept]}
-    if len(kept) < 2:
-        raise Unexpressed(f"a path of {len(kept)} points")
+    points = [_point(reading, element) for element in items]
+    numbers = [i for i, element in enumerate(points) if element is not None]
+    entry: dict[str, Any] = {"points": [points[i] for i in numbers]}
+    if len(numbers) < 2:
+        raise Unexpressed(f"a path of {len(numbers)} points")
     moves = {reading.carriers[point["frame"]] for point in entry["points"]}
     if len(moves) == 1 and not any("moves" in point for point in entry["points"]):
         raise Unexpressed("no joint that moves changes the length of its path")
     wraps = [
         wrap
-        for one in geometry.objects("PathWrapSet", "MuscleWrapSet")
-        if (wrap := _wrap(reading, one, kept)) is not None
+        for element in geometry.objects("PathWrapSet", "MuscleWrapSet")
+        if (wrap := _wrap(reading, element, numbers)) is not None
     ]
     if wraps:
         entry["wraps"] = wraps
@@ -97,32 +97,32 @@ def _location(item: Item, axis: str) -> Function:
         raise Unexpressed(f"{item.title}: {error}") from error
 
 
-def _wrap(reading: Reading, item: Item, kept: Sequence[int]) -> dict[str, Any] | None:
+def _wrap(reading: Reading, item: Item, numbers: Sequence[int]) -> dict[str, Any] | None:
     """A wrap; None for one that is not active."""
     name = item.text("wrap_object")
     if name not in reading.wrap_objects:
         raise item.error(f"there is no wrap object '{name}'")
-    body, found = reading.wrap_objects[name]
-    if not found.flag("active", default=True):
+    body, surface = reading.wrap_objects[name]
+    if not surface.flag("active", default=True):
         return None
-    pose = xyz_rpy(_wrap_frame(found))
-    wrap: dict[str, Any] = {"name": item.name or name, "frame": body, **_wrap_shape(found)}
+    pose = xyz_rpy(_wrap_frame(surface))
+    wrap: dict[str, Any] = {"name": item.name or name, "frame": body, **_wrap_shape(surface)}
     if pose:
         wrap["pose"] = pose
-    side = found.text("quadrant", default="all").lower().replace("+", "")
+    side = surface.text("quadrant", default="all").lower().replace("+", "")
     wrap["side"] = "all" if side in ("unassigned", "") else side
     first, last = (int(n) for n in item.vector("range", default=(-1.0, -1.0), length=2))
     if first > 0 or last > 0:
-        wrap["between"] = _between(first, last, kept)
+        wrap["between"] = _between(first, last, numbers)
     if "ellipsoid" in wrap:
         wrap["method"] = item.text("method", default="hybrid")
     return wrap
 
 
-def _between(first: int, last: int, kept: Sequence[int]) -> list[int]:
+def _between(first: int, last: int, numbers: Sequence[int]) -> list[int]:
     """Range of points, counted from 1, in places of those that are kept."""
-    begin, end = max(first - 1, 0), (last - 1 if last > 0 else kept[-1])
-    inside = [place for place, i in enumerate(kept) if begin <= i <= end]
+    begin, end = max(first - 1, 0), (last - 1 if last > 0 else numbers[-1])
+    inside = [place for place, i in enumerate(numbers) if begin <= i <= end]
     return [inside[0], inside[-1]] if inside else [0, 0]
 
 

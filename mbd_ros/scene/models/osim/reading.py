@@ -1,4 +1,4 @@
-"""What is known while the sections of a model are read: its frames, joints, names, left-outs."""
+"""The state of reading an OpenSim model: frames, joints, names and what was left out."""
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -42,7 +42,7 @@ class Reading:
         self.closures = closures
         self.joints = {joint.name for joint in mechanism.joints}
         self.turning = {j.name for j in mechanism.joints if j.motion and j.motion.turns}
-        self.held = mechanism.coordinates.keys() - self.joints - fixed.keys()
+        self.idle_coordinates = mechanism.coordinates.keys() - self.joints - fixed.keys()
         self.carriers = mechanism.carriers(fixed)
         self.left_out: list[LeftOut] = []
         self.names = Names(self.joints)
@@ -80,7 +80,7 @@ class Reading:
         """
         ends = {self.carriers[end.body] if end else "" for end in (a, b)}
         if len(ends) == 1:
-            raise Unexpressed("its bodies do not move against each other")
+            raise Unexpressed("its bodies have no relative motion")
 
     def coordinate(self, item: Item, *sockets: str) -> str:
         """The coordinate that an element names by its name or by a path to it.
@@ -90,7 +90,7 @@ class Reading:
         """
         path = socket(item, *sockets)
         name = path.rstrip("/").split("/")[-1]
-        if name in self.held:
+        if name in self.idle_coordinates:
             raise Unexpressed(f"'{name}' moves nothing")
         if name not in self.joints and name not in self.fixed:
             known = ", ".join(sorted(self.joints))

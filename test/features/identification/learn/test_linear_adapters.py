@@ -5,10 +5,10 @@ import pytest
 from worn_leg import LEG, worn_leg
 
 import mbd_ros as mbd
-from mbd_ros.features.identification.learn.fitting import Recordings, share_of
-from mbd_ros.features.identification.learn.linear_corrections import Columns, fitted
+from mbd_ros.features.identification.learn.fitting import Recordings, relative_error
+from mbd_ros.features.identification.learn.linear_corrections import Columns, solve_corrections
 from mbd_ros.features.identification.learn.task import Task
-from mbd_ros.features.identification.learn.training_samples import Scales, is_better, trusted
+from mbd_ros.features.identification.learn.training_samples import Scales, is_better, trusted_share
 
 WALK = 1.2, (0.35, 0.5, 0.2), (0.05, -0.5, 0.0)  # s, rad, rad: stride, amplitudes, middles
 RUN = 0.6, (0.5, 0.75, 0.3), (0.1, -0.7, 0.0)
@@ -55,11 +55,11 @@ def test_a_payload_friction_and_a_spring_from_a_trial(rate):
         for kind, strides in ((WALK, 4), (RUN, 2))
     )
     columns = Columns(leg, leg.couplings.independent, Scales.of(walk, walk.effort - walk.physics))
-    known = [columns.known(one, np.zeros_like(one.q)) for one in (walk, run)]
-    numbers = columns.possible(fitted(known[0].and_also(known[1]), with_network=False))
+    known = [columns.statistics(one, np.zeros_like(one.q)) for one in (walk, run)]
+    numbers = columns.limit(solve_corrections(known[0].merge(known[1]), uses_network=False))
     test = samples_of(leg, recorded(true, RUN, 1, rate))
-    found = share_of(test.physics + columns.torque(test, numbers), test.measured)
-    assert share_of(test.physics, test.measured) > 0.2
+    found = relative_error(test.physics + columns.torque(test, numbers), test.measured)
+    assert relative_error(test.physics, test.measured) > 0.2
     assert found < {100: 0.0012, 500: 0.0005}[rate]
 
 
@@ -67,10 +67,10 @@ def test_what_holds_in_one_block_alone_is_not_trusted():
     random = np.random.default_rng(0)
     wanted = random.normal(size=(100, 2))
     said = wanted + 0.3 * random.normal(size=(100, 2))
-    share = trusted(said, wanted, 5, together=False)
+    share = trusted_share(said, wanted, 5, together=False)
     assert ((share > 0.8) & (share <= 1.0)).all()
     said[20:] = random.normal(size=(80, 2))
-    assert not trusted(said, wanted, 5, together=False).any()
+    assert not trusted_share(said, wanted, 5, together=False).any()
     best = np.full(5, 1.0)
     assert is_better(0.5 * best, best) and not is_better(0.95 * best, best)
     assert not is_better(np.array([0.1, 1.1, 1.1, 1.1, 1.1]), best)

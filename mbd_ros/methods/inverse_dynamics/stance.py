@@ -1,4 +1,4 @@
-"""Which features of contacts may press, as the geometry of a motion shows it."""
+"""Stance detection: which features of contacts may press, from the geometry of a motion."""
 
 import math
 from collections.abc import Collection, Sequence
@@ -13,51 +13,54 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 
 Mask = NDArray[np.bool_]
-_CLOSED = 1.0e-6  # a gap, as a multiple of L, that an impact leaves with any speed
-_GRAVITY = 9.81  # m/s^2, where a scene has none
+_CLOSED = 1.0e-6  # gap, as a multiple of L, below which a feature is in stance at any speed
+_GRAVITY = 9.81  # m/s^2, for scenes without gravity
 
 
-class Nearness(NamedTuple):
-    """How near is on the ground.
+class StanceThresholds(NamedTuple):
+    """Thresholds below which a feature counts as on the ground.
+
+    The length L is the distance from the mass centre of all bodies that move with the contact to
+    its farthest feature, in the neutral configuration.
 
     Attributes:
-        gap: Largest gap, of the length L from the mass centre of all that moves with the contact
-            to its farthest feature, in the neutral configuration [-].
-        speed: Largest speed along the normal, of sqrt(g L) [-].
+        gap: Largest gap as a multiple of L [-].
+        speed: Largest speed along the normal as a multiple of sqrt(g L) [-].
     """
 
     gap: float = 1.0e-3
     speed: float = 0.02
 
 
-class Standing:
-    """A feature stands where its gap and its speed along the normal are small.
+class StanceDetector:
+    """Detects features of contacts whose gap and speed along the normal are small.
 
-    Both thresholds are multiples of the size of the mechanism. What slides along the ground
-    stands on it too, and so does what has just come, whatever its speed. A threshold below the
-    clearance of a foot that swings tells them apart.
+    A sliding feature is in stance, and so is one that has just touched down, whatever its speed.
+    The threshold of the gap must be smaller than the clearance of a swinging foot.
 
-    One instance owns its Pinocchio data: not for two threads.
+    One instance owns its Pinocchio data and must not be shared between threads.
 
     Args:
-        contacts: Constraints of the law `cone`.
+        contacts: Constraints with the multiplier law `cone`.
+        thresholds: Gap and speed below which a feature counts as on the ground.
 
     Attributes:
-        features: `<contact>`, or `<contact>.<feature>` of several, in the order of the masks.
-        feet: Which foot each feature is part of: links that carry one another are one foot.
-        feet_names: One a foot: the link that carries the others.
+        features: `<contact>`, or `<contact>.<feature>` if it has several, in the order of masks.
+        feet: Index of the foot of each feature; links that carry one another form one foot.
+        feet_names: Name of each foot: the link that carries its other links.
     """
 
     def __init__(
-        self, robot: Robot, contacts: Sequence[Any], near: Nearness | None = None
+        self, robot: Robot, contacts: Sequence[Any], thresholds: StanceThresholds | None = None
     ) -> None:
-        near = near or Nearness()
+        limits = thresholds or StanceThresholds()
         self._k, self._contacts = Kinematics(robot), tuple(contacts)
         counts = [len(part.features) for part in contacts]
         size = np.repeat([_size(robot, part) for part in contacts], counts)
         g = float(np.linalg.norm(robot.model.gravity.linear)) or _GRAVITY
-        self._closed = np.minimum(_CLOSED, near.gap) * size
-        self._gap, self._speed = near.gap * size, near.speed * np.sqrt(g * size)
+        self._closed = np.minimum(_CLOSED, limits.gap) * size
+        self._gap = limits.gap * size
+        self._speed = limits.speed * np.sqrt(g * size)
         first = [robot.places.points[part.pair.points[0].number].joint for part in contacts]
         self._signs = np.repeat([1.0 if joint else -1.0 for joint in first], counts)
         self.features = tuple(
@@ -65,35 +68,35 @@ class Standing:
             for part in contacts
             for feature in part.features
         )
-        joints = [_moving(robot, part) for part in contacts]
+        joints = [_carrying_joint(robot, part) for part in contacts]
         tops = [_top(robot, joint, joints) for joint in joints]
         every = sorted(set(tops))
         self.feet: NDArray[np.intp] = np.repeat([every.index(top) for top in tops], counts)
         links = {joint: _link(robot, part) for joint, part in zip(joints, contacts, strict=True)}
         self.feet_names = tuple(links[top] for top in every)
 
-    def at(self, x: State) -> Mask:
-        """Which features may press at a state, shape (n,)."""
+    def detect(self, x: State) -> Mask:
+        """Return which features may press at a state, shape (n,)."""
         k = self._k
         k.refresh(x.q, x.v, Reads.JACOBIAN)
         gaps = [part.residual(k, x)[::3] for part in self._contacts]
         speeds = [part.jacobian(k, x)[::3].dot(x.v) for part in self._contacts]
         gap, speed = np.concatenate(gaps), np.abs(np.concatenate(speeds))
-        stands: Mask = (gap <= self._gap) & (speed <= self._speed) | (gap <= self._closed)
-        return stands
+        stance: Mask = (gap <= self._gap) & (speed <= self._speed) | (gap <= self._closed)
+        return stance
 
-    def of(self, contacts: Collection[str]) -> Mask:
-        """Features of some contacts, shape (n,)."""
-        are = [part.name in contacts for part in self._contacts for _ in part.features]
-        return np.array(are, dtype=np.bool_)
+    def select(self, contacts: Collection[str]) -> Mask:
+        """Return which features belong to some contacts, shape (n,)."""
+        selected = [part.name in contacts for part in self._contacts for _ in part.features]
+        return np.array(selected, dtype=np.bool_)
 
-    def standing_feet(self, standing: Mask) -> Mask:
-        """Which feet have a feature that stands, shape (len(feet_names),)."""
-        feet: Mask = np.bincount(self.feet, standing, minlength=len(self.feet_names)) > 0
+    def stance_feet(self, stance: Mask) -> Mask:
+        """Return which feet have a feature in stance, shape (len(feet_names),)."""
+        feet: Mask = np.bincount(self.feet, stance, minlength=len(self.feet_names)) > 0
         return feet
 
     def forces(self, x: State) -> Array:
-        """From forces of all features to that on each foot in the world, shape (feet, 3, 3 n)."""
+        """Return the map from forces of all features to world forces on feet, (feet, 3, 3 n)."""
         k, n = self._k, len(self.features)
         k.refresh(x.q, x.v, Reads.POSITION)
         axes = np.concatenate([part.pair.places(k).axes for part in self._contacts])
@@ -103,17 +106,18 @@ class Standing:
         return forces.reshape(len(self.feet_names), 3, 3 * n)
 
 
-def carriers(robot: Robot, actuated: Sequence[str] | None) -> tuple[str, ...]:
-    """Joints that stand for a free base: what they need is no effort of anybody.
+def find_root_joints(robot: Robot, actuated: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the joints that replace a free base, whose forces no actuator exerts.
 
-    They lead from the world to the first link with mass. With actuators these are the joints
-    without one; otherwise a chain that slides along two axes at least, as models of persons have.
+    They connect the world to the first link with mass. In a scene with actuators these are the
+    joints without an actuator; otherwise chains with at least two prismatic joints, as models of
+    persons have them.
 
     Args:
         actuated: Joints with an actuator; None where the scene has none.
     """
     model, names = robot.model, {joint.v: joint.name for joint in robot.joints}
-    sliding, found = robot.sliding, []
+    sliding, roots = robot.prismatic_joints, []
     for root in range(1, model.njoints):
         if int(model.parents[root]) or model.joints[root].nv != 1:
             continue
@@ -123,26 +127,26 @@ def carriers(robot: Robot, actuated: Sequence[str] | None) -> tuple[str, ...]:
             joint = int(children[0])
             chain.append(joint)
             children = np.flatnonzero(np.array(model.parents) == joint)
-        of_chain = [names[int(model.joints[i].idx_v)] for i in chain]
+        chain_names = [names[int(model.joints[i].idx_v)] for i in chain]
         if actuated is not None:
-            found += [name for name in of_chain if name not in actuated]
-        elif sum(name in sliding for name in of_chain) > 1:
-            found += of_chain
-    return tuple(found)
+            roots += [name for name in chain_names if name not in actuated]
+        elif sum(name in sliding for name in chain_names) > 1:
+            roots += chain_names
+    return tuple(roots)
 
 
 def _size(robot: Robot, part: Any) -> float:
-    """Way of the farthest feature to the mass centre of all that moves with it [m]."""
+    """Return the distance of the farthest feature to the mass centre of all that moves with it."""
     model, data, q = robot.model, pin.Data(robot.model), robot.neutral()
     k = Kinematics(robot, data)
     k.refresh(q, np.zeros(model.nv), Reads.POSITION)
-    centre = _centre(model, data, int(model.supports[_moving(robot, part)][1]))
+    centre = _centre(model, data, int(model.supports[_carrying_joint(robot, part)][1]))
     size = float(np.linalg.norm(part.pair.places(k).point - centre, axis=1).max())
     return size if size > 0.0 and math.isfinite(size) else 1.0
 
 
 def _centre(model: Any, data: Any, root: int) -> Array:
-    """Mass centre of a joint and all that it carries, in the world [m], shape (3,)."""
+    """Return the mass centre of a joint and its subtree in the world [m], shape (3,)."""
     mass, total = 0.0, np.zeros(3)
     for joint in model.subtrees[root]:
         body = model.inertias[int(joint)]
@@ -151,8 +155,8 @@ def _centre(model: Any, data: Any, root: int) -> Array:
     return total / mass if mass else data.oMi[root].translation
 
 
-def _moving(robot: Robot, part: Any) -> int:
-    """Joint of the model that carries a contact, that of its first body where both move."""
+def _carrying_joint(robot: Robot, part: Any) -> int:
+    """Return the joint that carries a contact, that of its first body where both move."""
     joints = [robot.places.points[point.number].joint for point in part.pair.points]
     return int(joints[0] or joints[1])
 
@@ -164,5 +168,5 @@ def _link(robot: Robot, part: Any) -> str:
 
 
 def _top(robot: Robot, joint: int, joints: Sequence[int]) -> int:
-    """The first of the joints with contacts on the way from the world to one of them."""
+    """Return the first joint with a contact on the path from the world to a joint."""
     return next(int(i) for i in robot.model.supports[joint] if int(i) in joints)

@@ -11,9 +11,9 @@ from mbd_ros.cli import main
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.features.identification.learn.onnx_file import onnx_of
+from mbd_ros.features.identification.learn.onnx_file import onnx_bytes
 from mbd_ros.methods.control.contract import ControlledJoints, EffortBox, Reference
-from mbd_ros.methods.learned import SUM, ZEROS, About, numbers_of, signed
+from mbd_ros.methods.learned_model import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 from mbd_ros.scene.reading.learned_entries import physics_beside
 
@@ -107,7 +107,7 @@ def test_energy_of_a_free_swing_holds(folder):
     said = About("structured", "leg", joints, -wall, wall, numbers_of(scene.robot))
     said = said._replace(physics=physics_beside(scene, said))
     path = folder / "conservative.onnx"
-    path.write_bytes(onnx_of(said, made, scales(m), np.ones(m)))
+    path.write_bytes(onnx_bytes(said, made, scales(m), np.ones(m)))
     heavy = with_model("prosthetic_leg", path)
     run = heavy.simulate(duration=0.2, integrator="dopri5", tolerance=1e-9)
     energy = run["samples"]["energy"]
@@ -131,7 +131,7 @@ def test_it_fades_outside_of_what_it_learned_from_and_says_so(folder):
     assert shares[0] == 1.0 and shares[-1] == shares[-2] == 0.0
     assert (np.diff(shares) <= 0.0).all() and shares[5] == pytest.approx(0.5)
     x = State(0.0, 1.25 * edge, v)
-    assert "position of" in part.doubt(x) and "50 % of it acts" in part.doubt(x)
+    assert "position of" in part.doubt(x) and "50 % of the learned torque acts" in part.doubt(x)
     assert not part.force(None, State(0.0, q, np.full(7, 9.0)), NONE).any()
     assert "velocity of" in part.doubt(State(0.0, q, np.full(7, 9.0)))
 
@@ -225,17 +225,17 @@ def product_of_gigabytes(data):
     ("change", "message"),
     [
         (damaged, "damaged"),
-        (lambda data: data[:3000], "damaged|no file of mbd-ros learn"),
-        (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
-        (lambda data: b"", "no file of mbd-ros learn"),
+        (lambda data: data[:3000], "damaged|not a file of mbd-ros learn"),
+        (lambda data: b"\x80\x04\x95cos\nsystem\n", "not a file of mbd-ros learn"),
+        (lambda data: b"", "not a file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
-        (foreign_operator, "the network cannot be asked: operator 'RunCode', accepted: Add,"),
-        (endless, "the network cannot be asked: operator 'Loop'"),
+        (foreign_operator, "the network cannot be evaluated: operator 'RunCode', accepted: Add,"),
+        (endless, "the network cannot be evaluated: operator 'Loop'"),
         (foreign_domain, "operator 'Tanh' of com.other, accepted"),
         (elsewhere, "has numbers that are sparse or in another file"),
         (with_function, "has functions of its own"),
-        (product_of_gigabytes, "the network cannot be asked: .*[Mm]emory"),
-        (other_numbers, "does not say what it belongs to"),
+        (product_of_gigabytes, "the network cannot be evaluated: .*[Mm]emory"),
+        (other_numbers, "has no valid description of its model"),
     ],
 )
 def test_a_file_that_is_none_is_refused_by_name(folder, tmp_path, change, message):
@@ -387,10 +387,10 @@ def test_corrections_of_stiffness_are_springs(folder):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"stiffness": {"joint2": [1.0]}}, "not stiffness and rest"),
+        ({"stiffness": {"joint2": [1.0]}}, "needs two numbers: stiffness and rest"),
         ({"bodies": {"nosuch": [0.0] * 10}}, "no body 'nosuch'"),
-        ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, not 10"),
-        ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "not offset, viscous and curves"),
+        ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, accepted: 10"),
+        ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "needs offset, viscous, then pairs"),
         ({"friction": {"nosuch": [0.0, 0.0]}}, "nosuch"),
     ],
 )

@@ -1,4 +1,4 @@
-"""How fast gaps change at most, so that bodies far from each other need no look.
+"""Bound of the speed of gaps, by which contacts of distant bodies are screened out.
 
 A gap changes by no more than the point nearest to the other body moves past it. With the velocity
 v_i of each coordinate between two bodies,
@@ -27,15 +27,17 @@ _SHARE = 0.5  # of the largest distance, by which it may grow until it is measur
 
 
 class GapSpeed:
-    """The weights above of several pairs of bodies.
+    """The weights w_i of several pairs of bodies.
 
     Args:
-        bodies: Pairs of bodies, and how far what may touch on b is from its origin at most [m];
-            None where nobody knows.
+        robot: The robot.
+        bodies: Pairs of bodies, and the largest distance of a point of b that may touch from the
+            origin of b [m]; None where it is unknown.
 
     Attributes:
         weights: Bounds of the w_i while each gap changes by less than `room`, shape (n, nv).
-        room: [m], shape (n,); 0 until they are measured, and where nothing is known.
+        room: Change of each gap for which its weights are bounds [m], shape (n,); 0 until they are
+            measured, and where nothing is known.
         turns: Angular lengths of the columns of the motion subspaces, shape (nv,).
     """
 
@@ -68,16 +70,16 @@ class GapSpeed:
         return bool((self.room[self._is_known] > 0.0).all())
 
     def shortest(self, room: Array) -> float:
-        """A way of the joints, as a length of all, on which no gap loses its room [m, rad].
+        """Return the length of a displacement of all joints that uses up no room [m, rad].
 
         Args:
-            room: Of the gaps [m], shape (n,).
+            room: Room of the gaps [m], shape (n,).
         """
         least = np.minimum(room, self.room)
         return float((least / np.where(self._length > 0.0, self._length, 1.0)).min())
 
     def measure(self, data: Any) -> None:
-        """Find weights and room at a configuration.
+        """Evaluate weights and room at a configuration.
 
         Args:
             data: Pinocchio data with placed joints.
@@ -95,27 +97,26 @@ class GapSpeed:
 
 
 def bodies_of(part: Constraint) -> tuple[Pair, float] | None:
-    """What may touch in a contact, as `GapSpeed` takes it; None where only the part knows."""
-    pair = getattr(part, "pair", None)
+    """Return the bodies of a contact as `GapSpeed` takes them; None where they are unknown."""
+    pair = part.pair
     if isinstance(pair, ContactPair) and pair.bodies[1] < math.inf:
         return pair.bodies
     return None
 
 
 def _links(model: Any, carrier: int, linear: Array, joints: Sequence[int]) -> list[float]:
-    """Lengths of the links between a joint and each other one, inf where a joint slides [m]."""
+    """Return the lengths of the links between a joint and others, inf where one slides [m]."""
     slides = {joint for joint, size in zip(joints, linear.tolist(), strict=True) if size > 0.0}
-    found = dict[int, float]()
+    lengths = dict[int, float]()
     for joint in set(joints):
-        one, other = set(model.supports[carrier]), set(model.supports[joint])
-        between = one ^ other
+        between = set(model.supports[carrier]) ^ set(model.supports[joint])
         length = sum(float(np.linalg.norm(model.jointPlacements[i].translation)) for i in between)
-        found[joint] = math.inf if between & slides else length
-    return [found[joint] for joint in joints]
+        lengths[joint] = math.inf if between & slides else length
+    return [lengths[joint] for joint in joints]
 
 
 def _subspaces(model: Any) -> tuple[Array, Array, list[int]]:
-    """Lengths of both parts of every column of the motion subspaces, and whose columns they are.
+    """Return the lengths of both parts of every column of the motion subspaces, and its joint.
 
     Returns:
         Linear and angular lengths, shape (nv,) each, and the index of the joint of each column.
