@@ -157,7 +157,7 @@ def test_geodesics_are_those_of_another_integrator(name):
         return np.concatenate((y[3:], pull[0]))
 
     for route in router.routes():
-        if route.held == ((0,),):
+        if route.active == ((0,),):
             (arc,), corners = router.corners(route, 0)
             for i in range(min(5, len(route.samples))):
                 y = np.concatenate((arc.start[i], arc.direction[i]))
