@@ -142,17 +142,17 @@ class _Systems:
         closed, free = set(closed), set(free)
         if not plan.keeps_closed:
             free |= set(plan.contacts) - closed
-        rows_: list[Constraint] = []
+        constraints: list[Constraint] = []
         for part in self.scene.constraints:
             name = part.name
             if name in closed:
-                rows_.append(self.hold(name, plan.where))
+                constraints.append(self.hold(name, plan.where))
             elif self.contacts.get(name) is part:
                 if name in free or name not in self.named:
-                    rows_.append(part)
+                    constraints.append(part)
             elif plan.constraints is None or name in plan.constraints:
-                rows_.append(part)
-        return rows_
+                constraints.append(part)
+        return constraints
 
     def hold(self, name: str, where: str) -> HeldContact:
         """A contact that is held closed."""

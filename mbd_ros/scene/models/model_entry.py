@@ -114,21 +114,21 @@ def _merged_robot(brought: Entries, entry: Entries, has_gravity: bool) -> dict[s
     return {key: value for key, value in robot.items() if value != {}}
 
 
-def _merged(brought: Any, entry_of_file: Any, where: str) -> Any:
+def _merged(brought: Any, scene_entry: Any, where: str) -> Any:
     """A section of a model with the entries of a scene, which win where names are the same."""
-    if entry_of_file is None:
+    if scene_entry is None:
         return brought
     if isinstance(brought, dict):
-        entry_of_file = schema.value(entry_of_file, Mapping[str, Any], where)
+        scene_entry = schema.value(scene_entry, Mapping[str, Any], where)
         inner = {
-            key: {**brought[key], **entry_of_file[key]}
-            for key in brought.keys() & entry_of_file.keys()
-            if where.endswith("initial") and isinstance(entry_of_file[key], dict)
+            key: {**brought[key], **scene_entry[key]}
+            for key in brought.keys() & scene_entry.keys()
+            if where.endswith("initial") and isinstance(scene_entry[key], dict)
         }
-        return {**brought, **entry_of_file, **inner}
-    entry_of_file = schema.value(entry_of_file, Sequence[Any], where)
-    names = {entry.get("name") for entry in entry_of_file if isinstance(entry, dict)}
-    return [*(entry for entry in brought if entry.get("name") not in names), *entry_of_file]
+        return {**brought, **scene_entry, **inner}
+    scene_entry = schema.value(scene_entry, Sequence[Any], where)
+    names = {entry.get("name") for entry in scene_entry if isinstance(entry, dict)}
+    return [*(entry for entry in brought if entry.get("name") not in names), *scene_entry]
 
 
 def _grouped(imported: Imported) -> list[str]:

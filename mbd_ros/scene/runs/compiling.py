@@ -215,7 +215,7 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
         set_value(entries, place, path, symbol)
         changed.setdefault(place, key)
     sections = {section.key: section for section in scene.sections}
-    symbols_: dict[str, Part] = {}
+    traced_parts: dict[str, Part] = {}
     for place, key in changed.items():
         section = sections[place.section]
         if not section.has_types or place.at is None:
@@ -228,8 +228,8 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
         part = part_of(section, entry.value, entry.where, site)
         part.name = old.name
         part.bind(Slots(old.u, old.z))
-        symbols_[old.name] = part
-    return symbols_
+        traced_parts[old.name] = part
+    return traced_parts
 
 
 def compiled_system(

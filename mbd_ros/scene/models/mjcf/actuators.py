@@ -234,25 +234,25 @@ def _without_turn(at: Any) -> dict[str, Any]:
     return {key: value for key, value in xyz_rpy(at).items() if key == "xyz"}
 
 
-def _wrap(reading: Reading, entry: Item) -> dict[str, Any]:
+def _wrap(reading: Reading, item: Item) -> dict[str, Any]:
     """A sphere, or a cylinder without end, over the side of `sidesite` where it is given."""
-    body, (geom, at) = reading.place(entry, "geom", "geoms")
+    body, (geom, at) = reading.place(item, "geom", "geoms")
     kind = geom_type(geom)
     if kind not in ("sphere", "cylinder"):
-        raise entry.error(f"geom '{geom.name}' is a {kind}, expected sphere or cylinder")
+        raise item.error(f"geom '{geom.name}' is a {kind}, expected sphere or cylinder")
     radius, side = geom_sizes(geom)[0], {}
-    if "sidesite" in entry:
-        other, site = reading.place(entry, "sidesite")
+    if "sidesite" in item:
+        other, site = reading.place(item, "sidesite")
         if other != body:
             raise Unexpressed("its side site is on another body than its geom")
-        at = _towards(entry, at, site.at.translation, radius, kind)
+        at = _towards(item, at, site.at.translation, radius, kind)
         side = {"side": "x"} if kind == "cylinder" else {}
     link, at = reading.tree.frame(body, at)
     shape: Any = radius if kind == "sphere" else {"radius": radius, "length": _ENDLESS}
     return {"frame": link, kind: shape, "pose": xyz_rpy(at), **side}
 
 
-def _towards(entry: Item, at: Any, site: Array, radius: float, kind: str) -> Any:
+def _towards(item: Item, at: Any, site: Array, radius: float, kind: str) -> Any:
     """The place of a cylinder with its x towards a site; a sphere stays as it is."""
     x = at.rotation.T @ (site - at.translation)
     if kind == "cylinder":
@@ -261,7 +261,7 @@ def _towards(entry: Item, at: Any, site: Array, radius: float, kind: str) -> Any
         raise Unexpressed("it wraps inside a geom")
     if kind == "sphere":
         return at
-    x, z = unit(entry, x, "sidesite"), np.array([0.0, 0.0, 1.0])
+    x, z = unit(item, x, "sidesite"), np.array([0.0, 0.0, 1.0])
     return at * pin.SE3(np.column_stack((x, np.cross(z, x), z)), np.zeros(3))
 
 
@@ -275,5 +275,5 @@ def _spring(reading: Reading, item: Item, title: str) -> list[dict[str, Any]]:
         reading.leave_out(item, "its path is there, not its spring, which pushes too")
         return []
     name = reading.names.part(f"{title}_spring", "spring")
-    entry = {"path": title, "stiffness": stiffness[0], "resting_length": upper}
-    return [{"type": "path_spring", "name": name, **entry}]
+    item = {"path": title, "stiffness": stiffness[0], "resting_length": upper}
+    return [{"type": "path_spring", "name": name, **item}]

@@ -163,10 +163,10 @@ class Item:
             yield Item(element, self.source, self.defaults, self)
 
     def _child(self, tag: str) -> Element | None:
-        child_ = self.element.find(tag)
-        if child_ is None and self.type in self.defaults:
+        child = self.element.find(tag)
+        if child is None and self.type in self.defaults:
             return self.defaults[self.type].find(tag)
-        return child_
+        return child
 
     def _number(self, word: str, tag: str) -> float:
         try:

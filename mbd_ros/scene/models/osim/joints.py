@@ -163,9 +163,11 @@ def _range(item: Item) -> list[float]:
 def _unique(joint: Joint, taken: Names) -> Joint:
     """The joint with coordinates of names that no joint before it has."""
     names = {}
-    for joint_ in joint.coordinates:
-        is_new = joint_.name not in taken
-        names[joint_.name] = taken.take(joint_.name if is_new else f"{joint.name}_{joint_.name}")
+    for coordinate in joint.coordinates:
+        is_new = coordinate.name not in taken
+        names[coordinate.name] = taken.take(
+            coordinate.name if is_new else f"{joint.name}_{coordinate.name}"
+        )
     if all(name == other for name, other in names.items()):
         return joint
     steps = [
@@ -174,7 +176,9 @@ def _unique(joint: Joint, taken: Names) -> Joint:
         else step
         for step in joint.steps
     ]
-    coordinates = tuple(joint_._replace(name=names[joint_.name]) for joint_ in joint.coordinates)
+    coordinates = tuple(
+        coordinate._replace(name=names[coordinate.name]) for coordinate in joint.coordinates
+    )
     return joint._replace(coordinates=coordinates, steps=tuple(steps))
 
 
